@@ -44,7 +44,7 @@ def apply(
     call from Python; and a note where that stack does not code what was measured.
     """
     from codecbench.cli.saying import say
-    from codecbench.core.analysis.choosing import links_read
+    from codecbench.core.analysis.choosing import links_with_readers
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.report.answers import answers
@@ -53,7 +53,7 @@ def apply(
     if setting and len(codecs) != 1:
         raise click.UsageError("--setting is of one codec; give one --codec")
     result = open_nonempty_run(run)
-    picks = {link: picked(result, link) for link in links_read(result) or [""]}
+    picks = {link: picked(result, link) for link in links_with_readers(result) or [""]}
     taken = dict.fromkeys((found[0].codec, found[0].setting) for found in picks.values() if found and found[0].passes)
     chosen = [_job(result, codec, label=label) for codec, label in taken]
     if codecs:

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Final
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.limits import POOLED, Limit, criteria, limits
-from codecbench.core.analysis.passing import Level, Standing, Test, described, parts
+from codecbench.core.analysis.passing import Level, Standing, Test, describe, parts
 from codecbench.core.analysis.ranking import rankings
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.run_result import Column, RunResult
 from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.choosing import over_links
 from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, spent, times_decide
@@ -170,7 +169,7 @@ def _judged(run: RunResult, columns: list[Column]) -> Answers | None:
     over = _over(run, own.values())
     basis = f"A setting passes by “{what}”{asked and f' ({asked})'}, {over}"
     if raw.settings:
-        basis += f"; raw itself: {described(raw.settings[0])}"
+        basis += f"; raw itself: {describe(raw.settings[0])}"
     told = tuple(Answer(curve, limit_sentence(run, on, curve, limit), limit) for curve, limit in found.limits.items())
     return Answers(f"{basis}.", told, what, _sentence(found, raw), on, over, raw)
 
@@ -272,12 +271,12 @@ def _nothing(found: _Judged, raw: Limit) -> str:
     likely = [(curve, near) for curve, limit in found.limits.items() if (near := nearest(limit)) is not None]
     if likely:
         curve, near = min(likely, key=lambda item: item[1].rate)
-        return f"Nothing is known to pass here: nearest is {named(curve, near)} ({described(near)})."
+        return f"Nothing is known to pass here: nearest is {named(curve, near)} ({describe(near)})."
     if stopped := next(iter(found.stopped.values()), None):
         return f"Nothing is known to pass here, as not all was tried: {stopped.codec}: {stopped.words}."
     finest = [(curve, limit.settings[0]) for curve, limit in found.limits.items() if limit.settings]
-    failing = "; ".join(f"{named(curve, test)} ({described(test)})" for curve, test in finest[:2])
-    beside = f"; raw itself: {described(raw.settings[0])}" if raw.settings and raw.lowest is None else ""
+    failing = "; ".join(f"{named(curve, test)} ({describe(test)})" for curve, test in finest[:2])
+    beside = f"; raw itself: {describe(raw.settings[0])}" if raw.settings and raw.lowest is None else ""
     return f"Nothing passes here, because the finest settings tried do not: {failing}{beside}."
 
 

@@ -11,17 +11,17 @@ from typing import Final
 
 from codecbench.core.analysis.choosing import (
     FRESH_SHARE,
-    UNTOLD,
+    IDLE_ERROR,
     Candidate,
     Demand,
     Shortfall,
     candidates,
     links_of,
-    links_read,
-    median,
+    links_with_readers,
 )
 from codecbench.core.analysis.passing import Standing
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.verdicts import median
 from codecbench.core.contracts.metric import FRESH_S
 from codecbench.core.report.costs import rate_cell, rate_words, spent
 from codecbench.core.report.formatting import Verdict, compact, rounded, where, without_pick
@@ -44,12 +44,12 @@ _GROUPS: Final[dict[Shortfall, tuple[str, str]]] = {
 
 def candidates_over_links(run: RunResult) -> list[list[Candidate]]:
     """The settings over each link over which something reads the frames, on all sequences together, by rate."""
-    return [groups[0] for groups in _over_each(run, Demand(""))] if links_read(run) else []
+    return [groups[0] for groups in _over_each(run, Demand(""))] if links_with_readers(run) else []
 
 
 def over_links(run: RunResult) -> list[Verdict]:
     """What a run says of each link over which something reads the frames, where nothing more is asked."""
-    return chosen(run, Demand("")) if links_read(run) else []
+    return chosen(run, Demand("")) if links_with_readers(run) else []
 
 
 def chosen(run: RunResult, demand: Demand) -> list[Verdict]:
@@ -114,7 +114,7 @@ def _nearest(found: list[Candidate]) -> Candidate:
 
 def _over_each(run: RunResult, demand: Demand) -> list[list[list[Candidate]]]:
     """Candidates by link and sequence, those of all sequences together first."""
-    able = links_read(run) if demand.deadline_ms is None else links_of(run)
+    able = links_with_readers(run) if demand.deadline_ms is None else links_of(run)
     links = [demand.link] if demand.link else able or links_of(run)[:1] or [""]
     over = (candidates(run, replace(demand, link=link)) for link in links)
     return [[list(own) for _, own in groupby(found, key=lambda each: each.sequence)] for found in over]
@@ -291,4 +291,4 @@ def _notes(run: RunResult, found: list[Candidate]) -> Iterator[str]:
     again = f"`codecbench run MATRIX --out {run.folder} --recompute {next(readers, '')}` measures it again"
     for what, names in missing.items():
         add = "add an evaluator that measures it with the same parameters of the link"
-        yield f"{_some(names)}: {what} is not known; {again if what == UNTOLD else add}."
+        yield f"{_some(names)}: {what} is not known; {again if what == IDLE_ERROR else add}."

@@ -12,8 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.run_result import Column, RunResult
 from codecbench.core.analysis.verdicts import intervals
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.contracts.view import Drawing

@@ -14,14 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import POWER, Evidence
 from codecbench.core.analysis.limits import POOLED, Limit, criteria, limits, pooled_rates
 from codecbench.core.analysis.passing import Test
 from codecbench.core.analysis.power import LimitPower, PairPower, limit_powers, pair_powers, powers_of
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
-from codecbench.core.analysis.run_result import RunResult, successes
+from codecbench.core.analysis.run_result import Column, RunResult, successes
 from codecbench.core.analysis.verdicts import SequenceCurve
 from codecbench.core.engine.planning.search_section import PASSES
 from codecbench.core.report.tables import three_digits
@@ -309,7 +308,7 @@ def _not_compared(ranking: Ranking) -> Iterator[str]:
     """The codecs that share no rate, each pair once."""
     named: set[str] = set()
     for ranked in ranking.ranked:
-        if others := [name for name in ranking.not_compared(ranked.curve) if name not in named]:
+        if others := [name for name in ranking.without_common_rate(ranked.curve) if name not in named]:
             yield f"{ranked.curve} was not compared with {', '.join(others)}: {NO_COMMON_RATE}."
         named.add(ranked.curve)
 
@@ -421,7 +420,7 @@ def _of_limits(found: list[LimitPower]) -> Verdict:
         (
             f"{limit.curve} {limit.standing.point}".strip(),
             f"{limit.standing.successes}/{limit.standing.runs}",
-            "–" if math.isnan(limit.told_from) else f"{100 * limit.told_from:.0f} %",
+            "–" if math.isnan(limit.detectable_rate) else f"{100 * limit.detectable_rate:.0f} %",
             limit.standing.verdict,
             "–" if limit.more_runs == 0 else f"{limit.more_runs} more runs at best",
         )

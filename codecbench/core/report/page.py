@@ -15,8 +15,7 @@ from typing import Any, Final
 import jinja2
 from markupsafe import Markup
 
-from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.run_result import RunResult, judged_column, successes
+from codecbench.core.analysis.run_result import Column, RunResult, judged_column, successes
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
 from codecbench.core.engine.storage.atomic import write_file

@@ -8,9 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, Ranking, rankings_on
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.run_result import Column, RunResult
 from codecbench.core.analysis.table import json_value
 from codecbench.core.analysis.verdicts import (
     intervals,
@@ -268,7 +267,7 @@ def _missing(rankings: list[Ranking]) -> list[str]:
     for ranking in rankings:
         reasons = [f"{curve} has no place: {reason}" for curve, reason in ranking.left_out.items()]
         for anchor in ranking.anchors:
-            apart = ranking.not_compared(anchor)
+            apart = ranking.without_common_rate(anchor)
             reasons += [f"{curve} was not compared with {anchor}: {NO_COMMON_RATE}" for curve in apart]
         for reason in reasons:
             columns.setdefault(reason, []).append(ranking.column.label)

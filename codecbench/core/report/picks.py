@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import groupby
 from typing import Final
 
-from codecbench.core.analysis.choosing import Demand, links_read
+from codecbench.core.analysis.choosing import Demand, links_with_readers
 from codecbench.core.analysis.passing import Level, Standing, Test, parts
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.engine.text import counted
@@ -25,7 +25,7 @@ def picks(run: RunResult, found: Answers) -> list[Verdict]:
     """The pick of each codec by an answer of the run, and over the links by which it is judged; if by nothing, what was
     measured of each setting."""
     tables = [_of_answers(run, found)] if found.answers else [] if found.table is None else [found.table]
-    over = link_picks(run, Demand("")) if links_read(run) else []
+    over = link_picks(run, Demand("")) if links_with_readers(run) else []
     return [*tables, *over] or [_of_settings(run)]
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from codecbench.core.analysis.replanning import SAME_PLACE, relocated
+from codecbench.core.analysis.replanning import SAME_PLACE, relocate
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError
 from codecbench.core.contracts.evaluator import CodedFrame
@@ -215,7 +215,7 @@ def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | 
     """The parameters to open a sequence with; None, with a line in the log, where it may not be opened."""
     try:
         if sequences_from not in (None, SAME_PLACE):
-            return {name: relocated(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
+            return {name: relocate(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
         elsewhere = PlanFile(run.folder).origin_elsewhere() if sequences_from is None else None
         if elsewhere is not None:
             message = f"the run was made in {elsewhere}, so the sequences that its plan names are not opened"

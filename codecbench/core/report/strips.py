@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Final
 
-from codecbench.core.analysis.passing import Passing, Standing, described
+from codecbench.core.analysis.passing import Passing, Standing, describe
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.report.answers import Answers, anchor_of
 from codecbench.core.report.choosing import candidates_over_links, limit_of
@@ -95,7 +95,7 @@ def strips(run: RunResult, found: Answers) -> Strips | None:
     sweeps = []
     for each in found.answers:
         tried = tuple(
-            _Tried(test.point or "its setting", values[each.curve, test.point], test.verdict, described(test))
+            _Tried(test.point or "its setting", values[each.curve, test.point], test.verdict, describe(test))
             for test in each.limit.settings
         )
         at = None if each.limit.lowest is None else each.limit.settings.index(each.limit.lowest)

@@ -14,10 +14,9 @@ from typing import Any
 
 import pandas as pd
 
-from codecbench.core.analysis.calibrations import Calibrations, calibrations
-from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.run_result import RunResult, judged_column, successes
+from codecbench.core.analysis.run_result import Column, RunResult, judged_column, successes
 from codecbench.core.analysis.table import NOTES, json_value
+from codecbench.core.analysis.verdicts import Calibrations, calibrations
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.text import counted
 
@@ -229,7 +228,7 @@ def _of_calibrations(found: Calibrations) -> Iterator[str]:
         medians = (f"{_shown(found.column, value)} on {name}" for name, value in found.medians.items())
         beside += f"; {by} of {raw}: {', '.join(medians)}"
     yield f"{beside}."
-    turning = [orders for orders in found.settings if orders.turns]
+    turning = [orders for orders in found.settings if orders.is_reversed]
     for orders in turning[:_TURNING]:
         better, worse = (
             " and ".join(f"{name} ({_shown(found.column, *both)})" for name, both in medians.items())
@@ -241,7 +240,7 @@ def _of_calibrations(found: Calibrations) -> Iterator[str]:
         )
     if len(turning) > _TURNING:
         yield f"{found.sequence}: so it is of {counted(len(turning) - _TURNING, 'more setting')}."
-    told = sum(orders.told for orders in found.settings)
+    told = sum(orders.is_comparable for orders in found.settings)
     if told and not turning:
         several = f"{told} of {counted(len(found.settings), 'setting')}"
         yield f"{found.sequence}: no order of {raw} and a setting turns, of {several} that have one under two or more."

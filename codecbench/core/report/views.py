@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
-from codecbench.core.analysis.choosing import Demand, candidates, links_read
-from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.choosing import Demand, candidates, links_with_readers
 from codecbench.core.analysis.limits import criteria, tests_of
 from codecbench.core.analysis.passing import Level, parts
-from codecbench.core.analysis.run_result import RunResult, judged_column
+from codecbench.core.analysis.run_result import Column, RunResult, judged_column
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.view import Drawing, Stroke, View, ViewKind
 from codecbench.core.engine.identity import seed_from
@@ -107,7 +106,7 @@ class Pick:
 def picked(run: RunResult, link: str = "") -> list[Pick]:
     """A setting of each curve, that of the answer first; of a run over links, those that pass over one of them."""
     found: dict[str, tuple[str, bool]] = {}
-    if links := links_read(run):
+    if links := links_with_readers(run):
         able = candidates(run, Demand(link or links[0]))
         for each in able:
             if each.verdict == "passes" and each.sequence == able[0].sequence:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from codecbench.core.analysis.passing import Test, described
+from codecbench.core.analysis.passing import Test, describe
 from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
 from codecbench.core.engine.planning.search import Search
 from codecbench.core.engine.planning.search_section import PASSES
@@ -89,7 +89,7 @@ class Edge:
     def _told(self, place: int) -> str:
         test = self.tried[place]
         said = "is inconclusive, which counts as failing" if test.verdict == "inconclusive" else test.verdict
-        return f"{self.search.settings[place].label} {said} ({described(test)})"
+        return f"{self.search.settings[place].label} {said} ({describe(test)})"
 
     def _finding(self, state: SearchState, setting: PluginSetting | None, words: str) -> SearchFinding:
         label = setting.label if setting is not None else ""

@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from codecbench.core.analysis.collect import read_run
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.passing import Passing
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.run_result import Column, RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import values_in
 from codecbench.core.contracts.metric import Metric

@@ -10,7 +10,7 @@ from typing import Final, Literal, TypeVar
 
 import numpy as np
 
-from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.run_result import Column
 from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
 from codecbench.core.engine.planning.objective import Objective
 from codecbench.core.engine.planning.search import Search

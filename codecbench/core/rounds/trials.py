@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.limits import criteria, is_empty, tests_of
 from codecbench.core.analysis.passing import PASSES_ABOVE, Joint, Passing, Standing, Test, parts
-from codecbench.core.analysis.run_result import Key, RunResult
+from codecbench.core.analysis.run_result import Column, Key, RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import values_in
 from codecbench.core.engine.planning.model import PluginSetting

@@ -9,8 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from codecbench.core.analysis.columns import Column, columns_of
-from codecbench.core.analysis.run_result import RunSchema
+from codecbench.core.analysis.run_result import Column, RunSchema, columns_of
 from codecbench.core.analysis.table import CellResult, wide
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric

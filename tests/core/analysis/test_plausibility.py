@@ -13,7 +13,7 @@ from distributions import install_source
 from measured_runs import cell_result
 
 import codecbench
-from codecbench.core.analysis.plausibility import with_doubts
+from codecbench.core.analysis.collect import with_doubts
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.tables import setting_notes

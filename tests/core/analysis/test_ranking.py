@@ -116,8 +116,8 @@ def test_rows_are_in_order_of_the_rate_that_they_show(rng: np.random.Generator) 
     shown = [evidence.mean for evidence in beside if evidence is not None]
     assert len(shown) == 3
     assert shown == sorted(shown, reverse=True)
-    assert sorted(found.not_compared("aside")) == ["alias", "late", "plain"]
-    assert found.not_compared("costly") == ()
+    assert sorted(found.without_common_rate("aside")) == ["alias", "late", "plain"]
+    assert found.without_common_rate("costly") == ()
     assert max(found.ranked, key=lambda ranked: ranked.score).curve == found.recommended.curve
     values = [ranked.value for ranked in rankings(run, at=1.0)[0].ranked]
     assert values == sorted(values, key=float), "an error is best first"

@@ -16,7 +16,7 @@ import pytest
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.engine.hosting.channel import Channel, Exposed, PluginFault, PluginNonsense, SharedMemory
 
-UNLOADED = "codecbench.core.analysis.plausibility"
+UNLOADED = "codecbench.core.analysis.bjontegaard"
 
 
 @dataclass
