@@ -48,12 +48,12 @@ def apply(
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.report.answers import answers
-    from codecbench.core.report.views import Pick, picked
+    from codecbench.core.report.views import Pick, answer_picks
 
     if setting and len(codecs) != 1:
         raise click.UsageError("--setting is of one codec; give one --codec")
     result = open_nonempty_run(run)
-    picks = {link: picked(result, link) for link in links_with_readers(result) or [""]}
+    picks = {link: answer_picks(result, link) for link in links_with_readers(result) or [""]}
     taken = dict.fromkeys((found[0].codec, found[0].setting) for found in picks.values() if found and found[0].passes)
     chosen = [_job(result, codec, label=label) for codec, label in taken]
     if codecs:

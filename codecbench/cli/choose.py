@@ -93,9 +93,9 @@ def choose(
 
 def _show(run: RunResult, demand: Demand, format_: str, everything: bool) -> None:
     """The pick of each codec and the answers, and where asked every setting."""
-    from codecbench.core.report.choosing import chosen, link_picks
+    from codecbench.core.report.choosing import choices, link_picks
 
-    *tables, answer = chosen(run, demand)
+    *tables, answer = choices(run, demand)
     behind = tables if everything or format_ == "json" else []
     show_found(run, [*behind, *link_picks(run, demand), answer], format_, everything=everything)
 

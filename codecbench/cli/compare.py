@@ -121,8 +121,8 @@ def _print(found: list[Comparison], format_: str, everything: bool, nothing: boo
 
 def _show(rows: list[Comparison], everything: bool) -> None:
     """Rows as a table in the terminal: all, or the most telling ones."""
-    from codecbench.core.report.formatting import compact
-    from codecbench.core.report.tables import shown
+    from codecbench.core.report.formatting import compact_table
+    from codecbench.core.report.tables import format_value
 
     if not everything:
         # A series that got or lost its result has no change in numbers, and is told first.
@@ -135,14 +135,14 @@ def _show(rows: list[Comparison], everything: bool) -> None:
             "sequence": row.key[0],
             "setting": " ".join(row.key[1:3]).rstrip(),
             "metric": _metric(row),
-            "before": shown(row.before),
-            "after": shown(row.after),
-            "change %": shown(100.0 * row.relative),
+            "before": format_value(row.before),
+            "after": format_value(row.after),
+            "change %": format_value(100.0 * row.relative),
             "note": row.note,
         }
         for row in rows[:most]
     ]
-    table = compact("", cells)
+    table = compact_table("", cells)
     plain_table(table.heads, table.rows)
     for sentence in table.sentences:
         say(sentence)

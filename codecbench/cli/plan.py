@@ -28,9 +28,9 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     from codecbench.core.engine.running.resume import kept_cells, outdated_cells
     from codecbench.core.engine.storage.store import Store
     from codecbench.core.engine.text import clean_line
-    from codecbench.core.rounds.running import planned
+    from codecbench.core.rounds.running import plan_matrix
 
-    made, folder, growth = planned(read_matrix(matrix), out)
+    made, folder, growth = plan_matrix(read_matrix(matrix), out)
     store = Store(folder)
     store.refuse_links()
     entries = store.entries() if folder.exists() else {}

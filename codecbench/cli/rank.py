@@ -42,7 +42,7 @@ def rank(run: Path, format_: str, everything: bool, rates: tuple[float, ...]) ->
     """
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.report.formatting import verdicts, verdicts_at
-    from codecbench.core.report.pasting import answer_tables
+    from codecbench.core.report.picks import answer_tables
 
     result = open_nonempty_run(run)
     if rates:
@@ -54,7 +54,7 @@ def rank(run: Path, format_: str, everything: bool, rates: tuple[float, ...]) ->
 
 def show_answer(result: RunResult) -> None:
     """Print the pick of each codec, and last what to take."""
-    from codecbench.core.report.pasting import answer_tables
+    from codecbench.core.report.picks import answer_tables
 
     _show_with_answer(answer_tables(result))
 
@@ -120,9 +120,9 @@ def show_found(result: RunResult, found: list[Verdict], format_: str, *, everyth
         if has_answer:
             _show_with_answer(found)
     else:
-        from codecbench.core.report.pasting import pasted
+        from codecbench.core.report.picks import text_to_paste
 
-        click.echo(pasted(result, found, format_), nl=False)
+        click.echo(text_to_paste(result, found, format_), nl=False)
     if result.missing:
         say(f"{result.missing} cells of the plan have no record yet", err=True)
 

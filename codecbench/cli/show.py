@@ -29,9 +29,9 @@ _BETWEEN: Final = 2
 
 def show_summary(result: RunResult) -> None:
     """What evaluators declare as their headlines, the numbers that most people ask for first, and what is noted."""
-    from codecbench.core.report.tables import notes, short_table, varying
+    from codecbench.core.report.tables import drop_constant_columns, notes, short_table
 
-    frame, same = varying(short_table(result, brief=True))
+    frame, same = drop_constant_columns(short_table(result, brief=True))
     left_out = show_table(frame, result.plan.name, brief=True)
     if same:
         say(same)
@@ -54,10 +54,10 @@ def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False) -> 
     brief: one part of what fits, with texts folded at their words, those of `_LEADING` too where they would take more
     than half of the screen; what is left out is returned.
     """
-    from codecbench.core.report.tables import shown
+    from codecbench.core.report.tables import format_value
 
     console = Screen()
-    texts = [[shown(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
+    texts = [[format_value(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
     names = [str(name) for name in frame.columns]
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     leading = [name in _LEADING for name in names]

@@ -27,13 +27,13 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
     from codecbench.core.analysis.collect import open_nonempty_run
     from codecbench.core.analysis.table import NOTES
     from codecbench.core.engine.text import counted
-    from codecbench.core.report.tables import chosen_columns, exported, short_table, varying
+    from codecbench.core.report.tables import drop_constant_columns, export_table, select_columns, short_table
 
     result = open_nonempty_run(run)
     frame, same = result.wide if shape == "wide" else result.tidy, ""
     headlines = shape == "wide" and columns is None and not every
     if columns is not None:
-        frame = chosen_columns(frame, columns)
+        frame = select_columns(frame, columns)
     if format_ == "text":
         from codecbench.cli.rank import show_verdicts
         from codecbench.cli.show import show_reasons, show_summary, show_table
@@ -55,8 +55,8 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
             say(said)
         return
     if headlines and format_ in ("markdown", "latex"):
-        frame, same = varying(short_table(result).join(result.wide.filter([NOTES])))
-    content = exported(frame, format_, same)
+        frame, same = drop_constant_columns(short_table(result).join(result.wide.filter([NOTES])))
+    content = export_table(frame, format_, same)
     if out is not None:
         from codecbench.core.engine.storage.atomic import write_file
 

@@ -14,8 +14,15 @@ from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.run_result import Column, RunResult
 from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.choosing import over_links
-from codecbench.core.report.costs import coarser_settings, coding_ms, rate_words, spent, times_decide
-from codecbench.core.report.formatting import Verdict, limit_sentence, named, ranked_verdict, uninformative, where
+from codecbench.core.report.costs import coarser_settings, coding_ms, deciding_cost, rate_words, times_decide
+from codecbench.core.report.formatting import (
+    Verdict,
+    limit_sentence,
+    ranked_verdict,
+    sequence_words,
+    setting_name,
+    uninformative_notes,
+)
 
 _NO_RATE: Final = "No rate was measured, so that nothing can be said of what codecs spend."
 
@@ -101,11 +108,12 @@ def _ranked(run: RunResult) -> Answers:
     ranking = next((each for each in every if each.ranked), None)
     if ranking is None:
         nothing = "Neither a task nor quality was measured of two codecs, so that they cannot be judged."
-        basis = next((reason for each in every for reason in uninformative(each)), nothing)
+        basis = next((reason for each in every for reason in uninformative_notes(each)), nothing)
         return Answers(basis, sentence=f"Nothing can be named: {basis[0].lower()}{basis[1:]}")
     found = ranked_verdict(run, ranking)
     brief = replace(found, heads=found.heads[:-1], rows=tuple(row[:-1] for row in found.rows), sentences=())
-    basis = f"Judged by {ranking.column.label}, {where(on)}; add codec raw, beside which a setting passes or fails."
+    judged_by = f"Judged by {ranking.column.label}, {sequence_words(on)}"
+    basis = f"{judged_by}; add codec raw, beside which a setting passes or fails."
     return Answers(basis, (), ranking.column.label, found.sentences[0], on, table=brief)
 
 
@@ -126,7 +134,7 @@ class _Judged:
     silent: Sequence[str] = ()
 
     def spent(self, curve: str, test: Test) -> float:
-        return spent(self.run, self.on, curve, test)
+        return deciding_cost(self.run, self.on, curve, test)
 
     def cost(self, curve: str, test: Test, *, brief: bool = False) -> str:
         """What a setting spends, in words."""
@@ -181,8 +189,8 @@ def _codec(curve: str) -> str:
 def _place(found: _Judged, curve: str, limit: Limit) -> tuple[int, float]:
     """The pick that spends least comes first, then what may pass by its rate, and last a curve that passes nowhere."""
     if limit.lowest is not None:
-        spent = found.spent(curve, limit.lowest)
-        return 0, math.inf if math.isnan(spent) else spent
+        deciding_cost = found.spent(curve, limit.lowest)
+        return 0, math.inf if math.isnan(deciding_cost) else deciding_cost
     likely = nearest(limit)
     return (2, 0.0) if likely is None else (1, likely.rate)
 
@@ -216,7 +224,7 @@ def _use(found: _Judged, curve: str, limit: Limit) -> str:
     taken = limit.lowest
     assert taken is not None
     endless = limit.next is None and not times_decide(found.run)
-    words = [f"Use {named(curve, taken)}{' or coarser' if endless else ''}: {found.cost(curve, taken)}"]
+    words = [f"Use {setting_name(curve, taken)}{' or coarser' if endless else ''}: {found.cost(curve, taken)}"]
     saved = _saved(found, curve, taken)
     sure = "; ".join(_sure(part) for part in parts(taken))
     words[0] += f", {saved}" if saved else ""
@@ -251,15 +259,17 @@ def _saved(found: _Judged, curve: str, taken: Test) -> str:
         if not following:
             return "the only codec known to pass" if others else ""
         other, least = following[0]
-        return f"{found.less(curve, taken, other, least)} than the next codec that passes ({named(other, least)})"
+        return (
+            f"{found.less(curve, taken, other, least)} than the next codec that passes ({setting_name(other, least)})"
+        )
     if not name:
         return f"where no {_codec(anchors[0])} setting tried passes" if anchors else ""
     lowest = found.limits[name].lowest
     assert lowest is not None
     which = "coarsest" if found.limits[name].next is None else "smallest"
     tried = f"{which} {name} {'tried' if which == 'coarsest' else 'that passes'}"
-    spent = found.cost(name, lowest, brief=True)
-    return f"{found.less(curve, taken, name, lowest)} than the {tried} ({lowest.point}, {spent})"
+    deciding_cost = found.cost(name, lowest, brief=True)
+    return f"{found.less(curve, taken, name, lowest)} than the {tried} ({lowest.point}, {deciding_cost})"
 
 
 def _nothing(found: _Judged, raw: Limit) -> str:
@@ -271,11 +281,11 @@ def _nothing(found: _Judged, raw: Limit) -> str:
     likely = [(curve, near) for curve, limit in found.limits.items() if (near := nearest(limit)) is not None]
     if likely:
         curve, near = min(likely, key=lambda item: item[1].rate)
-        return f"Nothing is known to pass here: nearest is {named(curve, near)} ({describe(near)})."
+        return f"Nothing is known to pass here: nearest is {setting_name(curve, near)} ({describe(near)})."
     if stopped := next(iter(found.stopped.values()), None):
         return f"Nothing is known to pass here, as not all was tried: {stopped.codec}: {stopped.words}."
     finest = [(curve, limit.settings[0]) for curve, limit in found.limits.items() if limit.settings]
-    failing = "; ".join(f"{named(curve, test)} ({describe(test)})" for curve, test in finest[:2])
+    failing = "; ".join(f"{setting_name(curve, test)} ({describe(test)})" for curve, test in finest[:2])
     beside = f"; raw itself: {describe(raw.settings[0])}" if raw.settings and raw.lowest is None else ""
     return f"Nothing passes here, because the finest settings tried do not: {failing}{beside}."
 

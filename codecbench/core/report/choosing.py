@@ -23,9 +23,9 @@ from codecbench.core.analysis.passing import Standing
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.verdicts import median
 from codecbench.core.contracts.metric import FRESH_S
-from codecbench.core.report.costs import rate_cell, rate_words, spent
-from codecbench.core.report.formatting import Verdict, compact, rounded, where, without_pick
-from codecbench.core.report.tables import aligned, three_digits
+from codecbench.core.report.costs import deciding_cost, rate_cell, rate_words
+from codecbench.core.report.formatting import Verdict, compact_table, format_percent, sequence_words, without_pick
+from codecbench.core.report.tables import padded_digits, three_digits
 
 _NAMED: Final = 3
 """Settings that a cell names before it counts the rest."""
@@ -49,10 +49,10 @@ def candidates_over_links(run: RunResult) -> list[list[Candidate]]:
 
 def over_links(run: RunResult) -> list[Verdict]:
     """What a run says of each link over which something reads the frames, where nothing more is asked."""
-    return chosen(run, Demand("")) if links_with_readers(run) else []
+    return choices(run, Demand("")) if links_with_readers(run) else []
 
 
-def chosen(run: RunResult, demand: Demand) -> list[Verdict]:
+def choices(run: RunResult, demand: Demand) -> list[Verdict]:
     """What a run says of a demand over a link, or over each where that names none (""): tables, and last the answers.
 
     Raises NotMeasured.
@@ -80,9 +80,9 @@ def _picks(run: RunResult, found: list[Candidate]) -> Verdict:
         row = {"codec": curve, "setting": f"{taken.point} {taken.way}".strip()}
         row |= dict([rate_cell(run, taken.sequence, curve, _setting(taken))])
         if anchors:
-            beside = "" if taken is anchors[0] else f"{rounded(_more(run, taken, anchors[0]))} %"
+            beside = "" if taken is anchors[0] else f"{format_percent(_more(run, taken, anchors[0]))} %"
             row[f"vs. {anchors[0].curve}"] = beside
-        row["error m"] = "" if math.isnan(taken.error_m) else aligned(taken.error_m)
+        row["error m"] = "" if math.isnan(taken.error_m) else padded_digits(taken.error_m)
         row["fresh"] = "" if math.isnan(taken.fresh) else _percent(taken.fresh)
         row["in time"] = "" if math.isnan(taken.share) else _percent(taken.share)
         row["runs"] = " and ".join(f"{standing.successes}/{standing.runs}" for standing in taken.standings)
@@ -93,8 +93,8 @@ def _picks(run: RunResult, found: list[Candidate]) -> Verdict:
             row["verdict"] = f"{taken.verdict}: {_GROUPS[taken.limit][0]}"
         rows.append(row)
     demand = found[0].demand
-    table = compact(
-        f"The pick of each codec over {demand.link}, {where(found[0].sequence)}, {asked_words(demand)}", rows
+    table = compact_table(
+        f"The pick of each codec over {demand.link}, {sequence_words(found[0].sequence)}, {demand_words(demand)}", rows
     )
     others = [curve for curve in by_curve if passing and curve not in passing]
     return replace(
@@ -135,12 +135,12 @@ def _table(run: RunResult, found: list[Candidate], is_first: bool) -> Verdict:
     rate = "rate" if run.rate is None else f"rate [{run.rate.unit}]"
     heads = ("setting", rate, *(["in time"] if demand.deadline_ms is not None else []),
              "error [m]", "fresh pose", "runs", "verdict", "because")  # fmt: skip
-    title = f"{where(found[0].sequence)}: over {demand.link}, {asked_words(demand)}"
+    title = f"{sequence_words(found[0].sequence)}: over {demand.link}, {demand_words(demand)}"
     rows = tuple(tuple(_row(run, candidate)) for candidate in found)
     return Verdict(title, heads, rows, (_rule(found) if is_first else answer(run, found), *_notes(run, found)))
 
 
-def asked_words(demand: Demand) -> str:
+def demand_words(demand: Demand) -> str:
     """What is asked, without the link."""
     asked = []
     if demand.deadline_ms is not None:
@@ -224,8 +224,8 @@ def answer(run: RunResult, found: list[Candidate]) -> str:
         return f"Nothing {none} over {demand.link}, because {why} ({limit_of(nearest)})."
     taken, sure = passing[0], passing[0].least_sure
     chance = f"passes in {sure.successes} of {sure.runs} runs (at least {100 * sure.interval[0]:.0f} % at 95 %)"
-    spent = f"{_spent(run, taken)}{_beside_anchor(run, found)}"
-    return f"Over {demand.link} use {taken.name}: {spent}; {chance}: {_facts(taken)}."
+    deciding_cost = f"{_spent(run, taken)}{_beside_anchor(run, found)}"
+    return f"Over {demand.link} use {taken.name}: {deciding_cost}; {chance}: {_facts(taken)}."
 
 
 def _beside_anchor(run: RunResult, found: list[Candidate]) -> str:
@@ -253,7 +253,7 @@ def _beside_anchor(run: RunResult, found: list[Candidate]) -> str:
 
 def _more(run: RunResult, taken: Candidate, other: Candidate) -> float:
     """By how many percent a setting spends more than another."""
-    rates = [spent(run, each.sequence, each.curve, _setting(each)) for each in (taken, other)]
+    rates = [deciding_cost(run, each.sequence, each.curve, _setting(each)) for each in (taken, other)]
     return 100.0 * (rates[0] / rates[1] - 1.0)
 
 

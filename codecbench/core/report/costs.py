@@ -14,7 +14,7 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.core.report.tables import aligned, three_digits
+from codecbench.core.report.tables import padded_digits, three_digits
 
 _FAR: Final = 10.0
 """Times the coarsest value that was tried, up to which more is looked for."""
@@ -52,11 +52,11 @@ def rate_cell(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[st
     """The unit and the number of a setting's bit rate, or of its rate if no bit rate is known."""
     mbps = bit_rate_mbps(run, sequence, curve, test)
     if mbps > 0.0 or run.rate is None:
-        return "Mbit/s", aligned(mbps)
-    return run.rate.unit, aligned(test.rate * run.rate.factor)
+        return "Mbit/s", padded_digits(mbps)
+    return run.rate.unit, padded_digits(test.rate * run.rate.factor)
 
 
-def spent(run: RunResult, sequence: str, curve: str, test: Test) -> float:
+def deciding_cost(run: RunResult, sequence: str, curve: str, test: Test) -> float:
     """What decides between settings that pass: the bit rate, or the rate if that is not known, or milliseconds if times
     and no task were measured."""
     if times_decide(run):

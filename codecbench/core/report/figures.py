@@ -24,8 +24,8 @@ from codecbench.core.report.views import (
     PALETTE,
     STROKES,
     Bars,
+    CellDrawing,
     CurveView,
-    Drawn,
     bars_views,
     curve_views,
     first_view,
@@ -150,7 +150,7 @@ def _shown(row: dict[Any, Any], column: Column) -> float:
 def map_figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
     """For each sequence and codec, small multiples over its settings, first repeat."""
     for view in map_views(run):
-        groups: dict[tuple[str, str, str], list[Drawn]] = {}
+        groups: dict[tuple[str, str, str], list[CellDrawing]] = {}
         with_path = set()
         for drawn in view.drawings:
             cell = drawn.result.cell
@@ -164,7 +164,7 @@ def map_figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
             yield _file_name(sequence, view.name, codec, label), _multiples(title, members)
 
 
-def _multiples(title: str, members: list[Drawn]) -> Figure:
+def _multiples(title: str, members: list[CellDrawing]) -> Figure:
     across = min(4, len(members))
     down = math.ceil(len(members) / across)
     figure, grid = plt.subplots(down, across, figsize=(max(3.6, 2.6 * across), 2.7 * down + 0.5), squeeze=False)

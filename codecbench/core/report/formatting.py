@@ -49,7 +49,7 @@ class Verdict:
     about: Column | None = None
 
 
-def compact(title: str, rows: Sequence[Mapping[str, str]]) -> Verdict:
+def compact_table(title: str, rows: Sequence[Mapping[str, str]]) -> Verdict:
     """A table of cells by head, in the order in which heads first appear; what is the same in all rows stands below.
 
     Cells that a row lacks are a dash; a column of nothing else is left out, and so is one without a head.
@@ -92,10 +92,10 @@ def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
         *ranked.values(),
         *(list(_held(run, columns)) for columns in criteria(run) if columns[0].metric.role == "success"),
     ]
-    return [*searched(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
+    return [*search_verdicts(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
 
 
-def searched(run: RunResult, *, brief: bool = False) -> Iterator[Verdict]:
+def search_verdicts(run: RunResult, *, brief: bool = False) -> Iterator[Verdict]:
     """What the searches of the matrix have found; brief: without sentences, and without what passes."""
     searches = [found for found in run.plan.searches if not (brief and found.objective == PASSES)]
     if searches:
@@ -110,10 +110,10 @@ def searched(run: RunResult, *, brief: bool = False) -> Iterator[Verdict]:
 
 def ranked_verdict(run: RunResult, ranking: Ranking) -> Verdict:
     """The codec to take, what is undecided and what would decide it, below a row for each codec."""
-    title = f"{where(ranking.sequence)}: {ranking.column.label}"
+    title = f"{sequence_words(ranking.sequence)}: {ranking.column.label}"
     if not ranking.ranked:
         own = ranking.uninformative.get(ranking.sequence)
-        reasons = uninformative(ranking) if own is None else [f"Uninformative here: {own}."]
+        reasons = uninformative_notes(ranking) if own is None else [f"Uninformative here: {own}."]
         return Verdict(title, (), (), tuple(reasons), ranking.column)
     title += f", {ranking.units} {' and '.join(ranking.of)}"
     shown: dict[str, Callable[[Ranked], str]] = {}
@@ -153,16 +153,16 @@ def _percent(found: Evidence) -> tuple[str, str, str]:
     """The difference in rate, half the width of its interval in percent points, or the interval if that is wide."""
     middle, reach = 100.0 * math.expm1(-found.mean), found.reach(0.95)
     if reach > _LONGEST:
-        return rounded(middle), "", "" if found.at_least else "no interval"
+        return format_percent(middle), "", "" if found.at_least else "no interval"
     low, high = (100.0 * math.expm1(move - found.mean) for move in (-reach, reach))
     half = 0.5 * (high - low)
     if half > _WIDE:
-        return rounded(middle), "", f"{rounded(low)} to {rounded(high)} %"
+        return format_percent(middle), "", f"{format_percent(low)} to {format_percent(high)} %"
     digits = 0 if half >= 0.95 or half == 0.0 else min(3, math.ceil(-math.log10(half)))
     return f"{middle:+.{digits}f}", f" ± {half:.{digits}f}", ""
 
 
-def rounded(percent: float) -> str:
+def format_percent(percent: float) -> str:
     """A change in percent with its sign, in three digits at most."""
     return "0" if abs(percent) < 0.5 else f"{float(f'{percent:.3g}'):+.0f}"
 
@@ -262,7 +262,7 @@ def _two_digits(count: float) -> str:
 
 def _notes(ranking: Ranking) -> Iterator[str]:
     yield from _not_compared(ranking)
-    yield from uninformative(ranking)
+    yield from uninformative_notes(ranking)
     if ranking.too_few_on:
         yield f"{sequences_are_samples(ranking)}."
     worth = [found.worth for *_, found in ranking.pairs if found.worth < _FEWER * ranking.units]
@@ -286,7 +286,7 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"{curve} has no place: {reason}."
 
 
-def uninformative(ranking: Ranking) -> Iterator[str]:
+def uninformative_notes(ranking: Ranking) -> Iterator[str]:
     """On which sequences the column ranks no codec, and why: a sentence each."""
     for sequence, reason in ranking.uninformative.items():
         yield f"{sequence}: {ranking.column.label} is uninformative here: {reason}."
@@ -306,14 +306,14 @@ def sequences_are_samples(ranking: Ranking) -> str:
 
 def _not_compared(ranking: Ranking) -> Iterator[str]:
     """The codecs that share no rate, each pair once."""
-    named: set[str] = set()
+    setting_name: set[str] = set()
     for ranked in ranking.ranked:
-        if others := [name for name in ranking.without_common_rate(ranked.curve) if name not in named]:
+        if others := [name for name in ranking.without_common_rate(ranked.curve) if name not in setting_name]:
             yield f"{ranked.curve} was not compared with {', '.join(others)}: {NO_COMMON_RATE}."
-        named.add(ranked.curve)
+        setting_name.add(ranked.curve)
 
 
-def where(sequence: str) -> str:
+def sequence_words(sequence: str) -> str:
     return "all sequences together" if sequence == POOLED else sequence
 
 
@@ -327,7 +327,7 @@ def _held(run: RunResult, columns: list[Column]) -> Iterator[Verdict]:
     for sequence, of_curves in sorted(by_sequence.items(), key=lambda pair: pair[0] != POOLED):
         by_rate = sorted(of_curves.items(), key=lambda pair: pair[1].rate)
         sentences = [_of_curve(run, sequence, curve, limit) for curve, limit in by_rate]
-        yield Verdict(f"{where(sequence)}: {what}", (), (), tuple(sentences))
+        yield Verdict(f"{sequence_words(sequence)}: {what}", (), (), tuple(sentences))
 
 
 def _of_curve(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
@@ -342,12 +342,12 @@ def limit_sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> s
         return f"{curve}: {limit.reason or 'no run'}."
     if limit.lowest is not None:
         share = share_of_rate(run, sequence, limit.lowest.rate)
-        return f"{named(curve, limit.lowest)} passes at {share} ({limit.lowest}); {limit.after_words()}."
+        return f"{setting_name(curve, limit.lowest)} passes at {share} ({limit.lowest}); {limit.after_words()}."
     none = "passes at no setting" if limit.settings[0].verdict == "fails" else "is not known to pass at any setting"
     return f"{curve} {none}: {limit.after_words()}."
 
 
-def named(curve: str, test: Test) -> str:
+def setting_name(curve: str, test: Test) -> str:
     """A setting by its codec and its own name, where that is another."""
     return f"{curve} {test.point}".strip() if not curve.endswith(f" {test.point}") else curve
 
@@ -386,7 +386,7 @@ def power_verdicts(run: RunResult, power: float = POWER) -> list[Verdict]:
 def _of_pairs(pairs: list[PairPower]) -> Verdict:
     first = pairs[0]
     of = " and ".join(first.of)
-    title = f"{where(first.sequence)}: {first.column.label}, {first.units} {of}, {_often(first.power)}"
+    title = f"{sequence_words(first.sequence)}: {first.column.label}, {first.units} {of}, {_often(first.power)}"
     rows = tuple(
         (
             f"{pair.first} vs. {pair.second}",
@@ -415,7 +415,7 @@ def _said(pair: PairPower) -> str:
 def _of_limits(found: list[LimitPower]) -> Verdict:
     first = found[0]
     label = " and ".join(column.label for column in first.columns)
-    title = f"{where(first.sequence)}: {label}, {_often(first.power)}"
+    title = f"{sequence_words(first.sequence)}: {label}, {_often(first.power)}"
     rows = tuple(
         (
             f"{limit.curve} {limit.standing.point}".strip(),

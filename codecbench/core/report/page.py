@@ -24,7 +24,7 @@ from codecbench.core.report.answers import answers_of_settings
 from codecbench.core.report.choosing import over_links
 from codecbench.core.report.formatting import Verdict, verdicts
 from codecbench.core.report.page_data import page_data, verdict_tables
-from codecbench.core.report.pasting import answer_tables, pasted
+from codecbench.core.report.picks import answer_tables, text_to_paste
 from codecbench.core.report.pictures import frame_pictures
 from codecbench.core.report.strips import link_strips, strips
 from codecbench.core.report.tables import calibration_notes, caveats, sequence_notes, setting_notes
@@ -226,7 +226,7 @@ def write_report(
     if format_ == "html":
         content = render(run, partial(frame_pictures, run, sequences_from=sequences_from, wanted=frames)).encode()
     elif format_ in ("markdown", "md", "latex"):
-        content = pasted(run, answer_tables(run), "latex" if format_ == "latex" else "markdown").encode()
+        content = text_to_paste(run, answer_tables(run), "latex" if format_ == "latex" else "markdown").encode()
     else:
         raise ParamsError(f"format {format_!r} is not one of html, markdown, latex")
     write_file(path, content)

@@ -18,18 +18,18 @@ from codecbench.core.analysis.verdicts import (
     spread,
 )
 from codecbench.core.contracts.view import FrameTimeline, TimelineRow
-from codecbench.core.report.formatting import signed_percent, uninformative
+from codecbench.core.report.formatting import signed_percent, uninformative_notes
 from codecbench.core.report.tables import caveats, three_digits
 from codecbench.core.report.views import (
     PALETTE,
     STROKES,
     Map,
+    answer_picks,
     bars_views,
     bounds,
     curve_views,
     first_view,
     map_views,
-    picked,
     styles_of,
 )
 
@@ -57,7 +57,7 @@ def page_data(run: RunResult) -> dict[str, Any]:
         "presets": [{"title": view.title, "x": view.x.name, "y": view.y.name} for view in views],
         "first": 0 if first is None else views.index(first),
         "asked": bounds(run),
-        "picks": [asdict(pick) for pick in picked(run)],
+        "picks": [asdict(pick) for pick in answer_picks(run)],
         "intervals": _intervals(run),
         "rate": run.rate.name if run.rate else None,
         "brief": [column.name for column in run.headlines()],
@@ -271,7 +271,7 @@ def _missing(rankings: list[Ranking]) -> list[str]:
             reasons += [f"{curve} was not compared with {anchor}: {NO_COMMON_RATE}" for curve in apart]
         for reason in reasons:
             columns.setdefault(reason, []).append(ranking.column.label)
-    silent = [sentence for ranking in rankings for sentence in uninformative(ranking)]
+    silent = [sentence for ranking in rankings for sentence in uninformative_notes(ranking)]
     return [*silent, *(f"{', '.join(labels)}: {reason}." for reason, labels in columns.items())]
 
 

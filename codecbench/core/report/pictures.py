@@ -33,7 +33,7 @@ from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.engine.text import clean_line
 from codecbench.core.report.tables import three_digits
-from codecbench.core.report.views import picked
+from codecbench.core.report.views import answer_picks
 
 log = logging.getLogger("codecbench.report")
 
@@ -90,7 +90,7 @@ def frame_pictures(
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
     marker, plugins = _marker(run), Workbench(limit_s)
-    first = [(pick.codec, pick.setting) for pick in picked(run)]
+    first = [(pick.codec, pick.setting) for pick in answer_picks(run)]
     for entry in run.plan.sequences:
         chosen = _chosen(run, entry, first)
         if chosen and not _holds_bitstreams(run, entry, chosen):
@@ -175,11 +175,11 @@ def _chosen(run: RunResult, entry: SequenceEntry, first: _Names) -> list[tuple[P
         if sequence == entry.name and codec not in run.schema.baselines
     ]
     known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
-    kept = _kept([(setting.name, setting.label) for _, setting in known], _SETTINGS_A_SEQUENCE, first)
+    kept = _select([(setting.name, setting.label) for _, setting in known], _SETTINGS_A_SEQUENCE, first)
     return [(known[place][1], known[place][0]) for place in kept]
 
 
-def _kept(names: _Names, count: int, first: _Names) -> list[int]:
+def _select(names: _Names, count: int, first: _Names) -> list[int]:
     """Places of `count` of the names, in order: those that stand in `first`, and of the others some, spread evenly."""
     kept = [names.index(name) for name in first if name in names][:count]
     others = [place for place in range(len(names)) if place not in kept]
@@ -203,7 +203,7 @@ def _thinned(views: list[_Views], budget_bytes: int, first: _Names) -> list[_Vie
     names = [(setting.name, setting.label) for setting, *_ in views]
     count = len(views)
     while count:
-        chosen = [views[place] for place in _kept(names, count, first)]
+        chosen = [views[place] for place in _select(names, count, first)]
         originals = sum(len(view.original) for view in chosen[0][2])
         if originals + sum(view.weight_bytes for *_, found in chosen for view in found) <= budget_bytes:
             return chosen

@@ -13,7 +13,7 @@ from codecbench.core.analysis.passing import Passing, Standing, describe
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.report.answers import Answers, anchor_of
 from codecbench.core.report.choosing import candidates_over_links, limit_of
-from codecbench.core.report.costs import bit_rate_mbps, coding_ms, rate_cell, spent, times_decide
+from codecbench.core.report.costs import bit_rate_mbps, coding_ms, deciding_cost, rate_cell, times_decide
 from codecbench.core.report.tables import three_digits
 
 _MARGIN: Final = 0.05
@@ -114,7 +114,7 @@ def link_strips(run: RunResult) -> list[Strips]:
             setting = Standing(each.point, each.rate, 0, 0)
             unit, _ = rate_cell(run, each.sequence, each.curve, setting)
             factor = 1.0 if unit == "Mbit/s" or run.rate is None else run.rate.factor
-            value = factor * spent(run, each.sequence, each.curve, setting)
+            value = factor * deciding_cost(run, each.sequence, each.curve, setting)
             name = " ".join(filter(None, (each.point, each.way))) or "its setting"
             tried = _Tried(name, value, each.verdict, limit_of(each))
             of_curve[each.curve].insert(0, tried)

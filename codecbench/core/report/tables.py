@@ -33,7 +33,7 @@ _LATEX = str.maketrans(
 _LATEX_NUMBERS = {"–": "--", "∞": "$\\infty$", "-∞": "$-\\infty$"}
 
 
-def exported(frame: pd.DataFrame, format_: str, below: str = "") -> bytes:
+def export_table(frame: pd.DataFrame, format_: str, below: str = "") -> bytes:
     """A table as the bytes of a file: `csv`, `parquet`, `json`, `markdown` or `latex`.
 
     Numbers keep their full precision in csv, parquet and json; infinities are `inf`, missing values empty. In csv a
@@ -52,16 +52,16 @@ def exported(frame: pd.DataFrame, format_: str, below: str = "") -> bytes:
             for record in _objects(frame).to_dict("records")
         ]
         return (json.dumps(records, indent=1) + "\n").encode()
-    rows = [[shown(value) for value in row] for row in _objects(frame).to_numpy().tolist()]
+    rows = [[format_value(value) for value in row] for row in _objects(frame).to_numpy().tolist()]
     if format_ == "markdown":
         text = foreign_table([str(name) for name in frame.columns], rows)
-        return (f"{text}\n{escaped(below)}\n" if below else text).encode()
+        return (f"{text}\n{escape(below)}\n" if below else text).encode()
     if format_ == "latex":
         return (_latex(frame, rows) + (f"% {below}\n" if below else "")).encode()
     raise ParamsError(f"format {format_!r} is not one of csv, parquet, json, markdown, latex")
 
 
-def chosen_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
+def select_columns(frame: pd.DataFrame, patterns: str) -> pd.DataFrame:
     """The identifying columns and those that match one of the comma-separated patterns, in the patterns' order.
 
     What is noted of settings stays too: numbers are not to be read without it.
@@ -97,12 +97,12 @@ def short_table(run: RunResult, *, brief: bool = False) -> pd.DataFrame:
     return table
 
 
-def varying(frame: pd.DataFrame) -> tuple[pd.DataFrame, str]:
+def drop_constant_columns(frame: pd.DataFrame) -> tuple[pd.DataFrame, str]:
     """The table without the columns that have one value in all of several rows, and a sentence that says those."""
     if len(frame) < 2:
         return frame, ""
     same = [frame.iloc[:, at].nunique(dropna=False) == 1 for at in range(frame.shape[1])]
-    values = ((name, shown(frame.iloc[0, at])) for at, name in enumerate(frame.columns) if same[at])
+    values = ((name, format_value(frame.iloc[0, at])) for at, name in enumerate(frame.columns) if same[at])
     told = [" ".join(f"{name} {value}".split()) for name, value in values if value]
     return frame.loc[:, [not one for one in same]], f"In all rows: {', '.join(told)}." if told else ""
 
@@ -150,8 +150,8 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 def foreign_table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table of text that others wrote: markup in it is escaped."""
-    shown = ([escaped(value) if isinstance(value, str) else value for value in row] for row in rows)
-    return table([escaped(head) for head in heads], shown)
+    format_value = ([escape(value) if isinstance(value, str) else value for value in row] for row in rows)
+    return table([escape(head) for head in heads], format_value)
 
 
 def cell(value: object) -> str:
@@ -169,7 +169,7 @@ def cell(value: object) -> str:
     return " ".join(str(value).split("\n")).replace("|", "\\|")
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """A value of a run for people: numbers with three significant digits, whole ones in full.
 
     Trailing zeros are digits too, so that a column tells as much in each row: 0.900 beside 0.601.
@@ -183,10 +183,10 @@ def shown(value: object) -> str:
     rounded = value + 0.0 if value.is_integer() else float(f"{value:.3g}")  # -0.0 + 0.0 is 0.0
     if abs(rounded) >= 10_000:
         return f"{rounded:,.0f}"
-    return f"{rounded:.0f}" if value.is_integer() or abs(rounded) >= 1_000 else aligned(value)
+    return f"{rounded:.0f}" if value.is_integer() or abs(rounded) >= 1_000 else padded_digits(value)
 
 
-def escaped(text: str) -> str:
+def escape(text: str) -> str:
     """Foreign text that a page would otherwise take for markup: links, pictures, HTML, code, emphasis."""
     return re.sub(r"[\\`*\[\]]", r"\\\g<0>", text).replace("&", "&amp;").replace("<", "&lt;")
 
@@ -203,7 +203,7 @@ def three_digits(value: float) -> str:
     return f"{float(f'{value:.3g}'):g}"
 
 
-def aligned(value: float) -> str:
+def padded_digits(value: float) -> str:
     """With three significant digits, zeros too, for columns: 3.00 above 2.87."""
     text = f"{value:#.3g}"
     return three_digits(value) if "e" in text else text.rstrip(".")

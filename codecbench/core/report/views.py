@@ -51,7 +51,7 @@ class Bars:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class CellDrawing:
     """A drawing beside the cell that it is of."""
 
     result: CellResult
@@ -64,7 +64,7 @@ class Map:
 
     name: str
     view: View
-    drawings: tuple[Drawn, ...]
+    drawings: tuple[CellDrawing, ...]
 
 
 def curve_views(run: RunResult) -> list[CurveView]:
@@ -103,7 +103,7 @@ class Pick:
     passes: bool
 
 
-def picked(run: RunResult, link: str = "") -> list[Pick]:
+def answer_picks(run: RunResult, link: str = "") -> list[Pick]:
     """A setting of each curve, that of the answer first; of a run over links, those that pass over one of them."""
     found: dict[str, tuple[str, bool]] = {}
     if links := links_with_readers(run):
@@ -178,12 +178,12 @@ def _bars(run: RunResult, column: Column) -> Iterator[Bar]:
 
 def map_views(run: RunResult) -> list[Map]:
     """The drawings that evaluators make of what their cells left, in the order of the plan."""
-    found: dict[tuple[str, View], list[Drawn]] = {}
+    found: dict[tuple[str, View], list[CellDrawing]] = {}
     for title, view in _views(run, "map"):
         for result in run.of(title):
             drawing = result.drawing() if result.cell.repeat == 0 else None
             if drawing is not None and drawing.lines:
-                found.setdefault((result.cell.evaluator.name, view), []).append(Drawn(result, drawing))
+                found.setdefault((result.cell.evaluator.name, view), []).append(CellDrawing(result, drawing))
     order = {result.cell.id: position for position, result in enumerate(run.results)}
     return [
         Map(name, view, tuple(sorted(drawn, key=lambda drawn_cell: order[drawn_cell.result.cell.id])))
