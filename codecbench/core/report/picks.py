@@ -29,26 +29,25 @@ from codecbench.core.report.tables import (
 )
 
 _COLUMNS: Final = 8
-"""Of a table of every setting, as a screen is no wider."""
+"""Columns of a table of every setting, which a screen can show."""
 
 
-def picks(run: RunResult, found: Answers) -> list[Verdict]:
-    """The pick of each codec by an answer of the run, and over the links by which it is judged; if by nothing, what was
-    measured of each setting."""
-    tables = [_of_answers(run, found)] if found.answers else [] if found.table is None else [found.table]
+def picks(run: RunResult, answers_: Answers) -> list[Verdict]:
+    """The pick of each codec by an answer of the run, and over its links; without criteria, all settings."""
+    tables = [_pick_table(run, answers_)] if answers_.answers else [] if answers_.table is None else [answers_.table]
     over = link_picks(run, Demand("")) if links_with_readers(run) else []
-    return [*tables, *over] or [_of_settings(run)]
+    return [*tables, *over] or [_setting_table(run)]
 
 
-def _of_settings(run: RunResult) -> Verdict:
+def _setting_table(run: RunResult) -> Verdict:
     """The first headlines of each setting."""
     frame = short_table(run, brief=True)
     heads = [str(name).replace("\n", " ") for name in frame.columns][:_COLUMNS]
     rows = [[_text(value) for value in row] for row in frame.itertuples(index=False)]
     table = compact_table(f"Every setting of {run.plan.name}", [dict(zip(heads, row, strict=False)) for row in rows])
     more = frame.shape[1] - len(heads)
-    told = (f"{counted(more, 'more column')}: `codecbench table` shows them.",) if more else ()
-    return replace(table, sentences=table.sentences + told)
+    hint = (f"{counted(more, 'more column')}: `codecbench table` shows them.",) if more else ()
+    return replace(table, sentences=table.sentences + hint)
 
 
 def _text(value: object) -> str:
@@ -57,26 +56,27 @@ def _text(value: object) -> str:
     return str(value)
 
 
-def _of_answers(run: RunResult, found: Answers) -> Verdict:
-    """A row for each codec that has a pick; if none has, what comes nearest of each."""
-    picked = [each for each in found.answers if each.limit.lowest is not None]
-    anchor = anchor_of(run, found)
+def _pick_table(run: RunResult, answers_: Answers) -> Verdict:
+    """A row for each codec that has a pick; if none has, the nearest setting of each."""
+    picked = [answer for answer in answers_.answers if answer.limit.lowest is not None]
+    anchor = anchor_of(run, answers_)
     rows = []
-    for each in picked or found.answers:
-        row, setting, after = {"codec": each.curve}, each.shown, each.limit.next
+    for answer in picked or answers_.answers:
+        row, setting, after = {"codec": answer.curve}, answer.shown, answer.limit.next
         if setting is not None:
-            row |= {"setting": setting.point, **_costs(run, found.on, each.curve, setting)}
+            row |= {"setting": setting.point, **_costs(run, answers_.on, answer.curve, setting)}
             if anchor is not None and anchor.shown is not None:
-                beside = deciding_cost(run, found.on, anchor.curve, anchor.shown)
-                more = 100.0 * (deciding_cost(run, found.on, each.curve, setting) / beside - 1.0)
-                row[f"vs. {anchor.curve}"] = "" if each is anchor else f"{format_percent(more)} %"
+                cost_of_anchor = deciding_cost(run, answers_.on, anchor.curve, anchor.shown)
+                more = 100.0 * (deciding_cost(run, answers_.on, answer.curve, setting) / cost_of_anchor - 1.0)
+                row[f"vs. {anchor.curve}"] = "" if answer is anchor else f"{format_percent(more)} %"
             row |= measured_values(setting)
             row |= {"next coarser": _next(after)} if picked else {"verdict": setting.verdict}
         rows.append(row)
-    table = compact_table(f"The pick of each codec, {found.over}", rows)
-    others = [each for each in found.answers if picked and each not in picked and not each.limit.reason]
-    without = without_pick([each.curve for each in others if each.passes is False], [each.curve for each in others])
-    unjudged = (each.sentence for each in found.answers if each.limit.reason)
+    table = compact_table(f"The pick of each codec, {answers_.over}", rows)
+    others = [answer for answer in answers_.answers if picked and answer not in picked and not answer.limit.reason]
+    failing = [answer.curve for answer in others if answer.passes is False]
+    without = without_pick(failing, [answer.curve for answer in others])
+    unjudged = (answer.sentence for answer in answers_.answers if answer.limit.reason)
     return replace(table, sentences=(*table.sentences, *without, *unjudged))
 
 
@@ -85,30 +85,30 @@ def _next(after: Test | None) -> str:
 
 
 def _costs(run: RunResult, on: str, curve: str, test: Test) -> dict[str, str]:
-    """Milliseconds a frame if they decide, and the bit rate, or the rate if that is not known."""
+    """Milliseconds a frame if they decide, and the bit rate, or the rate if no bit rate is known."""
     encode_ms, decode_ms = map(padded_digits, coding_ms(run, on, curve, test))
     times = {"encode ms": encode_ms, "decode ms": decode_ms} if times_decide(run) else {}
     return times | dict([rate_cell(run, on, curve, test)])
 
 
 def measured_values(test: Test) -> dict[str, str]:
-    """What a setting reached by each test that it had to pass; of several tests of one name, the least sure."""
-    named = groupby(sorted(parts(test), key=lambda part: part.label), key=lambda part: part.label)
-    return dict(_reached(min(alike, key=_sureness)) for _, alike in named)
+    """The values of a setting by each test that it had to pass; of several tests of one name, the least sure."""
+    by_label = groupby(sorted(parts(test), key=lambda part: part.label), key=lambda part: part.label)
+    return dict(_cell(min(alike, key=_sureness)) for _, alike in by_label)
 
 
 def _sureness(part: Standing | Level) -> float:
     return part.margin.mean if isinstance(part, Level) else part.interval[0]
 
 
-def _reached(part: Standing | Level) -> tuple[str, str]:
+def _cell(part: Standing | Level) -> tuple[str, str]:
     if isinstance(part, Standing):
         return "runs", f"{part.successes}/{part.runs}"
     return part.column.short_heading.replace("\n", " "), _sure(part)
 
 
 def _sure(part: Level) -> str:
-    """`0.914 ± 0.008`, both with as many digits after the point."""
+    """`0.914 ± 0.008`, both with equally many digits after the point."""
     value = padded_digits(part.column.factor * part.value)
     if not 0.0 < part.reach < math.inf:
         return value
@@ -117,18 +117,19 @@ def _sure(part: Level) -> str:
 
 
 def answer_tables(run: RunResult) -> list[Verdict]:
-    """What searches have found, the table of picks, and last the answer."""
-    found = answers(run)
-    answer = Verdict("answer", (), (), tuple(found.sentence.splitlines()))
-    return [*search_verdicts(run, brief=True), *picks(run, found), answer]
+    """The findings of searches, the table of picks, and last the answer."""
+    answers_ = answers(run)
+    answer = Verdict("answer", (), (), tuple(answers_.sentence.splitlines()))
+    return [*search_verdicts(run, brief=True), *picks(run, answers_), answer]
 
 
-def text_to_paste(run: RunResult, found: Sequence[Verdict], format_: str) -> str:
-    """Verdicts on a run as `markdown` or `latex`, in which what stands around a table is a comment; first what is noted
-    of calibrations and settings, as numbers are not to be read without it."""
+def text_to_paste(run: RunResult, verdicts: Sequence[Verdict], format_: str) -> str:
+    """Verdicts on a run as `markdown` or `latex`, after the notes on calibrations and settings.
+
+    In latex, everything except tables is a comment."""
     notes = [*calibration_notes(run), *setting_notes(run)]
-    every = [*([Verdict("notes", (), (), tuple(notes))] if notes else []), *found]
-    return "\n".join(_latex(verdict) if format_ == "latex" else _markdown(verdict) for verdict in every)
+    parts_ = [*([Verdict("notes", (), (), tuple(notes))] if notes else []), *verdicts]
+    return "\n".join(_latex(verdict) if format_ == "latex" else _markdown(verdict) for verdict in parts_)
 
 
 def _markdown(verdict: Verdict) -> str:
