@@ -126,9 +126,7 @@ class CurveValues:
         means, rates = _merge_ties(self.means, self.log_rates)
         if len(rates) == 1:
             return float(means[0])
-        from scipy.interpolate import PchipInterpolator  # loads for half a second
-
-        return float(PchipInterpolator(rates, means)(np.clip(np.log(rate), rates[0], rates[-1])))
+        return float(_interpolator(rates, means)(np.clip(np.log(rate), rates[0], rates[-1])))
 
 
 @dataclass(frozen=True)
@@ -225,10 +223,16 @@ def _inverse(log_rates: Array, means: Array) -> Callable[[Array], Array]:
     rates, levels = _merge_ties(log_rates, means)
     if len(levels) == 1:
         return lambda qualities: np.full(len(qualities), rates[0])
-    from scipy.interpolate import PchipInterpolator  # loads for half a second
-
-    curve = PchipInterpolator(levels, rates, extrapolate=True)
+    curve = _interpolator(levels, rates)
     return lambda qualities: np.asarray(curve(np.clip(qualities, levels[0], levels[-1])))
+
+
+def _interpolator(places: Array, values: Array) -> Callable[[Array | float], Array]:
+    """Interpolate values monotonically between places (PCHIP)."""
+    from scipy.interpolate import PchipInterpolator  # takes most of a second to load
+
+    interpolator: Callable[[Array | float], Array] = PchipInterpolator(places, values, extrapolate=True)
+    return interpolator
 
 
 def _merge_ties(values: Array, levels: Array) -> tuple[Array, Array]:

@@ -31,7 +31,7 @@ class Standing:
     label: str = field(default="", compare=False)
     why: str = field(default="", compare=False)
     """The commonest reason of runs that did not succeed."""
-    asked: str = field(default="", compare=False)
+    requirement: str = field(default="", compare=False)
     """The numbers that successful runs met."""
 
     @cached_property
@@ -100,7 +100,7 @@ class Level:
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
         few = "" if self.reach < math.inf else ", too few to tell"
         sure = f" ± {self.reach:.2g}" if 0.0 < self.reach < math.inf else ""
-        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}, {self.asked} asked"
+        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}, {self.requirement} asked"
 
     @property
     def reach(self) -> float:
@@ -108,7 +108,7 @@ class Level:
         return abs(self.column.factor) * self.margin.reach(CONFIDENCE)
 
     @property
-    def asked(self) -> str:
+    def requirement(self) -> str:
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
         sign = "≥" if self.column.better == "higher" else "≤"
         return f"{sign} {self.column.factor * self.bound:.3g}{unit}"
@@ -140,8 +140,8 @@ class Joint:
         return "fails" if "fails" in verdicts else "inconclusive" if "inconclusive" in verdicts else "passes"
 
     @property
-    def asked(self) -> str:
-        return "; ".join(f"{name} {test.asked}" for name, test in self.tests.items())
+    def requirement(self) -> str:
+        return "; ".join(f"{name} {test.requirement}" for name, test in self.tests.items())
 
     @property
     def why(self) -> str:

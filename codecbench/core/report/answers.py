@@ -44,7 +44,7 @@ class Answer:
         return False if self.limit.settings and self.limit.settings[0].verdict == "fails" else None
 
     @property
-    def shown(self) -> Test | None:
+    def setting(self) -> Test | None:
         """The pick, or else the setting that is likeliest to be one, or else the finest."""
         return self.limit.lowest or nearest(self.limit) or next(iter(self.limit.settings), None)
 
@@ -101,13 +101,13 @@ def answers_of_settings(run: RunResult) -> list[Answers]:
     judged = [answers_ for columns in criteria(run) if (answers_ := _judge(run, columns)) is not None]
     linked = over_links(run)
     if not linked:
-        return judged or [_ranked(run)]
+        return judged or [_answer_by_ranking(run)]
     first, *others = judged or [Answers("Settings are judged by what comes over each link.", about="links")]
     lines = [*filter(None, [first.sentence]), *linked[-1].sentences]
     return [replace(first, sentence="\n".join(lines)), *others]
 
 
-def _ranked(run: RunResult) -> Answers:
+def _answer_by_ranking(run: RunResult) -> Answers:
     """The answer of a run without criteria."""
     on = _on(run)
     rankings_there = [ranking for ranking in rankings(run, brief=True) if ranking.sequence == on]
@@ -139,10 +139,10 @@ class _Judged:
     silent: Sequence[str] = ()
     """Of several sequences those on which nothing can be judged."""
 
-    def spent(self, curve: str, test: Test) -> float:
+    def cost(self, curve: str, test: Test) -> float:
         return deciding_cost(self.run, self.on, curve, test)
 
-    def cost(self, curve: str, test: Test, *, brief: bool = False) -> str:
+    def cost_words(self, curve: str, test: Test, *, brief: bool = False) -> str:
         """The cost of a setting, in words."""
         rate = rate_words(self.run, self.on, curve, test, brief=brief)
         if not times_decide(self.run):
@@ -153,11 +153,11 @@ class _Judged:
         return f"{encode_ms:.3g} ms to encode and {decode_ms:.3g} ms to decode a frame, {rate}"
 
     def less(self, curve: str, taken: Test, other: str, than: Test) -> str:
-        share = 100.0 * (1.0 - self.spent(curve, taken) / self.spent(other, than))
+        share = 100.0 * (1.0 - self.cost(curve, taken) / self.cost(other, than))
         return f"{share:.0f} % less{' time' if times_decide(self.run) else ''}"
 
     @property
-    def stopped(self) -> dict[str, SearchFinding]:
+    def stopped_searches(self) -> dict[str, SearchFinding]:
         """The searches that were stopped, by codec."""
         return {search.codec: search for search in self.run.plan.searches if search.state == "stopped"}
 
@@ -180,9 +180,9 @@ def _judge(run: RunResult, columns: list[Column]) -> Answers | None:
     silent = [entry.name for entry in run.plan.sequences if entry.name not in informative] if on == POOLED else []
     judged = _Judged(run, on, dict(sorted(others.items(), key=lambda item: _place(unsorted, *item))), silent)
     what = " and ".join(column.label for column in columns)
-    asked = _asked(raw, *curves.values())
+    requirement = _requirement(raw, *curves.values())
     over = _over(run, curves.values())
-    basis = f"A setting passes by “{what}”{asked and f' ({asked})'}, {over}"
+    basis = f"A setting passes by “{what}”{requirement and f' ({requirement})'}, {over}"
     if raw.settings:
         basis += f"; raw itself: {describe(raw.settings[0])}"
     answers_ = tuple(
@@ -198,16 +198,17 @@ def _codec(curve: str) -> str:
 def _place(judged: _Judged, curve: str, limit: Limit) -> tuple[int, float]:
     """The sort key: picks by cost, then curves that may pass by rate, and last those that pass nowhere."""
     if limit.lowest is not None:
-        cost = judged.spent(curve, limit.lowest)
+        cost = judged.cost(curve, limit.lowest)
         return 0, math.inf if math.isnan(cost) else cost
     likely = nearest(limit)
     return (2, 0.0) if likely is None else (1, likely.rate)
 
 
-def _asked(*limits_: Limit) -> str:
+def _requirement(*limits_: Limit) -> str:
     """The criteria in numbers, from the first setting that has them."""
     tests = (setting for limit in limits_ for setting in limit.settings)
-    return next((asked for test in tests if (asked := "; ".join(part.asked for part in parts(test) if part.asked))), "")
+    texts = ("; ".join(part.requirement for part in parts(test) if part.requirement) for test in tests)
+    return next(filter(None, texts), "")
 
 
 def _over(run: RunResult, limits_: Iterable[Limit] = ()) -> str:
@@ -233,8 +234,8 @@ def _use(judged: _Judged, curve: str, limit: Limit) -> str:
     taken = limit.lowest
     assert taken is not None
     endless = limit.next is None and not times_decide(judged.run)
-    words = [f"Use {setting_name(curve, taken)}{' or coarser' if endless else ''}: {judged.cost(curve, taken)}"]
-    saved = _saved(judged, curve, taken)
+    words = [f"Use {setting_name(curve, taken)}{' or coarser' if endless else ''}: {judged.cost_words(curve, taken)}"]
+    saved = _saving(judged, curve, taken)
     sure = "; ".join(_sure(part) for part in parts(taken))
     words[0] += f", {saved}" if saved else ""
     silent = f" (nothing can be judged on {', '.join(judged.silent)})" if judged.silent else ""
@@ -244,7 +245,7 @@ def _use(judged: _Judged, curve: str, limit: Limit) -> str:
         more = [spelled for name in coarser if (spelled := coarser_settings(judged.run, name))]
         words.append(f"nothing failed, so the limit is lower{': try ' if more else ''}{' and '.join(more)}")
     passing = {_codec(name) for name, other in judged.limits.items() if other.lowest is not None}
-    if untried := [codec for codec in judged.stopped if codec not in passing]:
+    if untried := [codec for codec in judged.stopped_searches if codec not in passing]:
         words.append(f"not tried to the end: {', '.join(untried)}")
     return f"{'; '.join(words)}."
 
@@ -252,13 +253,13 @@ def _use(judged: _Judged, curve: str, limit: Limit) -> str:
 def _sure(test: Standing | Level) -> str:
     """`tracked like raw in 4 of 4 runs (at least 51 % at 95 %)`."""
     if isinstance(test, Standing):
-        asked = f": {test.asked}" if test.asked else ""
+        asked = f": {test.requirement}" if test.requirement else ""
         share = f"{100 * test.interval[0]:.0f} % at 95 %"
         return f"{test.label} in {test.successes} of {test.runs} runs (at least {share}){asked}"
     return f"{test.label}: {test}"
 
 
-def _saved(judged: _Judged, curve: str, taken: Test) -> str:
+def _saving(judged: _Judged, curve: str, taken: Test) -> str:
     """The saving against the anchor's smallest setting that passes; of the anchor itself, against the next codec."""
     anchors = judged.anchors
     name = next((anchor for anchor in anchors if judged.limits[anchor].lowest is not None), "")
@@ -277,7 +278,7 @@ def _saved(judged: _Judged, curve: str, taken: Test) -> str:
     assert lowest is not None
     which = "coarsest" if judged.limits[name].next is None else "smallest"
     tried = f"{which} {name} {'tried' if which == 'coarsest' else 'that passes'}"
-    cost = judged.cost(name, lowest, brief=True)
+    cost = judged.cost_words(name, lowest, brief=True)
     return f"{judged.less(curve, taken, name, lowest)} than the {tried} ({lowest.point}, {cost})"
 
 
@@ -291,7 +292,7 @@ def _nothing(judged: _Judged, raw: Limit) -> str:
     if likely:
         curve, near = min(likely, key=lambda item: item[1].rate)
         return f"Nothing is known to pass here: nearest is {setting_name(curve, near)} ({describe(near)})."
-    if stopped := next(iter(judged.stopped.values()), None):
+    if stopped := next(iter(judged.stopped_searches.values()), None):
         return f"Nothing is known to pass here, as not all was tried: {stopped.codec}: {stopped.words}."
     finest = [(curve, limit.settings[0]) for curve, limit in judged.limits.items() if limit.settings]
     failing = "; ".join(f"{setting_name(curve, test)} ({describe(test)})" for curve, test in finest[:2])

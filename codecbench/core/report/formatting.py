@@ -130,7 +130,7 @@ def ranked_verdict(run: RunResult, ranking: Ranking) -> Verdict:
     )  # fmt: skip
     heads = ("codec", *cells, "better than")
     return Verdict(
-        title, heads, rows, (_recommendation(run, ranking), *_undecided(ranking), *_notes(ranking)), ranking.column
+        title, heads, rows, (_recommendation(run, ranking), *_remedies(ranking), *_notes(ranking)), ranking.column
     )
 
 
@@ -220,7 +220,7 @@ def _ends(points: Sequence[str]) -> tuple[str, str]:
     return points[0].replace("=", " "), points[-1].replace("=", " ")
 
 
-def _undecided(ranking: Ranking) -> Iterator[str]:
+def _remedies(ranking: Ranking) -> Iterator[str]:
     """Say what would decide between the codec to take and others that may be the best; count other pairs."""
     taken = ranking.recommended.curve
     open_pairs: dict[frozenset[str], PairPower] = {}
@@ -263,7 +263,7 @@ def _two_digits(count: float) -> str:
 
 
 def _notes(ranking: Ranking) -> Iterator[str]:
-    yield from _not_compared(ranking)
+    yield from _missing_comparisons(ranking)
     yield from uninformative_notes(ranking)
     if ranking.too_few_on:
         yield f"{sequences_are_samples(ranking)}."
@@ -306,7 +306,7 @@ def sequences_are_samples(ranking: Ranking) -> str:
     return f"The sequences are the samples, as {who} too few {of} for an error of its own"
 
 
-def _not_compared(ranking: Ranking) -> Iterator[str]:
+def _missing_comparisons(ranking: Ranking) -> Iterator[str]:
     """Name the codecs that share no rate, each pair once."""
     seen: set[str] = set()
     for ranked in ranking.ranked:

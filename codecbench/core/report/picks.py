@@ -62,11 +62,11 @@ def _pick_table(run: RunResult, answers_: Answers) -> Verdict:
     anchor = anchor_of(run, answers_)
     rows = []
     for answer in picked or answers_.answers:
-        row, setting, after = {"codec": answer.curve}, answer.shown, answer.limit.next
+        row, setting, after = {"codec": answer.curve}, answer.setting, answer.limit.next
         if setting is not None:
             row |= {"setting": setting.point, **_costs(run, answers_.on, answer.curve, setting)}
-            if anchor is not None and anchor.shown is not None:
-                cost_of_anchor = deciding_cost(run, answers_.on, anchor.curve, anchor.shown)
+            if anchor is not None and anchor.setting is not None:
+                cost_of_anchor = deciding_cost(run, answers_.on, anchor.curve, anchor.setting)
                 more = 100.0 * (deciding_cost(run, answers_.on, answer.curve, setting) / cost_of_anchor - 1.0)
                 row[f"vs. {anchor.curve}"] = "" if answer is anchor else f"{format_percent(more)} %"
             row |= measured_values(setting)

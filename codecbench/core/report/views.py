@@ -116,8 +116,8 @@ def answer_picks(run: RunResult, link: str = "") -> list[Pick]:
                 points.setdefault(setting.curve, (setting.point, True))
     else:
         for answer in answers_of_settings(run)[0].answers:
-            if answer.shown:
-                points[answer.curve] = answer.shown.point, answer.shown is answer.limit.lowest
+            if answer.setting:
+                points[answer.curve] = answer.setting.point, answer.setting is answer.limit.lowest
     keys = {(point.curve, point.point): key for key, point in run.curves.items()}
     return [Pick(*keys[curve, point], passes) for curve, (point, passes) in points.items()]
 

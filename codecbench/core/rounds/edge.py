@@ -42,7 +42,7 @@ class Edge:
                 self.proven = succeeding == stages[-1]
                 self._bisect(succeeding=succeeding, first_at_low=len(stages) > 1 and succeeding)
         except Unfinished:
-            return self._unfinished()
+            return self._partial()
         except Stopped as stop:
             return self._finding("stopped", None, f"stopped, {stop}; the next run tries that again"), None
         return self._final()
@@ -79,7 +79,7 @@ class Edge:
         setting = self.search.settings[order[self.high]]
         return self._finding("found", setting, words), setting
 
-    def _unfinished(self) -> tuple[SearchFinding, PluginSetting | None]:
+    def _partial(self) -> tuple[SearchFinding, PluginSetting | None]:
         order = self._order
         ends = dict.fromkeys(self.search.settings[order[at]].label for at in (self.low + 1, self.high - 1))
         if self.in_time:

@@ -51,10 +51,10 @@ class Growth:
 
     @cached_property
     def _inputs(self) -> RequiredInputs:
-        return RequiredInputs(self._matrix.evaluators, self._totals | self._begun)
+        return RequiredInputs(self._matrix.evaluators, self._totals | self._initial_repeats)
 
     @cached_property
-    def _begun(self) -> dict[str, int]:
+    def _initial_repeats(self) -> dict[str, int]:
         """The initial number of repeats, by the title of an evaluator whose repeats are added as needed."""
         if self._matrix.until is None:
             return {}
@@ -63,7 +63,7 @@ class Growth:
 
     def first_plan(self) -> Plan:
         """The plan of a run that begins or goes on."""
-        return self(make_plan(self._matrix, self._registry, extent=PlanScope(begun=self._begun)))
+        return self(make_plan(self._matrix, self._registry, extent=PlanScope(begun=self._initial_repeats)))
 
     def __call__(self, plan: Plan) -> Plan:
         """Add all cells that can be computed by now; return the plan itself if there are none.
@@ -153,7 +153,7 @@ class Growth:
             repeats[key] = max(count, repeats.get(key, 0))
         for sequence_name, setting, title in list(repeats):
             repeats |= {(sequence_name, setting, inputs): ALL_REPEATS for inputs in self._inputs.titles(title)}
-        return PlanScope(repeats, self._begun, self._inputs.values(run)), findings
+        return PlanScope(repeats, self._initial_repeats, self._inputs.values(run)), findings
 
 
 def _measures_rate(declared: dict[str, object]) -> bool:
