@@ -37,13 +37,13 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
     if format_ == "text":
         from codecbench.cli.rank import show_verdicts
         from codecbench.cli.show import show_reasons, show_summary, show_table
-        from codecbench.core.report.choosing import over_links
+        from codecbench.core.report.choosing import link_verdicts
 
         if out is not None:
             raise click.UsageError("--out needs a --format other than text")
         if headlines:
             show_summary(result)
-            show_verdicts(over_links(result)[-1:])
+            show_verdicts(link_verdicts(result)[-1:])
             show_reasons(result)
             said = f"{len(frame.columns)} columns in all: --all or --columns shows them, --format csv writes them"
             say(said)

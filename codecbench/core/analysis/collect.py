@@ -61,7 +61,7 @@ def read_run(store: Store, plan: Plan, registry: Registry) -> RunResult:
         metrics = dict(schema.metrics[title])
         added = [name for name in metrics if name not in measured[title]]
         results.append(_result(store, cell, record, evaluators.get(title), metrics, baselines[_group(cell)], added))
-    return RunResult(store.folder, plan, with_doubts(results, schema.stateless), store.environments.read(), schema)
+    return RunResult(store.folder, plan, add_doubts(results, schema.stateless), store.environments.read(), schema)
 
 
 def _records(store: Store, plan: Plan) -> list[tuple[Cell, Record]]:
@@ -253,7 +253,7 @@ class _Lossless(NamedTuple):
     """Its bytes over those of PNG."""
 
 
-def with_doubts(results: Iterable[CellResult], stateless: Mapping[str, bool]) -> tuple[CellResult, ...]:
+def add_doubts(results: Iterable[CellResult], stateless: Mapping[str, bool]) -> tuple[CellResult, ...]:
     """Add a note to the results that are lossless at implausibly few bytes.
 
     stateless: by codec, whether it codes each frame on its own; codecs that are not in it get no note. A codec is

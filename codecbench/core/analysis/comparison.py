@@ -170,7 +170,7 @@ def _compare_times(
     change = float(np.median(after) / np.median(before) - 1.0)
     if few < LEAST_REPEATS:
         return Comparison(old.key, *shown, change, "cannot tell", f"{few} repeats; at least {LEAST_REPEATS} are needed")
-    from scipy.stats import mannwhitneyu  # loads for half a second, and few runs repeat their times
+    from scipy.stats import mannwhitneyu  # takes 1.5 s to load, and few runs repeat times
 
     chance = float(mannwhitneyu(before, after, method="exact").pvalue)
     note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"

@@ -71,7 +71,7 @@ class Evidence:
             return 0.0
         if not (self.freedom > 0 and self.variance > (_ROUNDING * self.mean) ** 2):
             return 1.0
-        from scipy.special import stdtr  # as in student_quantile
+        from scipy.special import stdtr  # slow to load
 
         return float(2.0 * stdtr(self.freedom, -distance / math.sqrt(self.variance)))
 
@@ -88,7 +88,7 @@ class Evidence:
 
 def student_quantile(level: float, freedom: float) -> float:
     """The quantile of Student's t with `freedom` degrees of freedom at the probability `level`."""
-    from scipy.special import stdtrit  # loads for a quarter of a second, and many commands ask for no quantile
+    from scipy.special import stdtrit  # slow to load, and many commands need no test
 
     return float(stdtrit(freedom, level))
 
@@ -135,8 +135,8 @@ def evidence_of_frames(differences: Array, alike: Array | None = None, *, halved
         return Evidence(mean, math.nan, 0.0, 0.0, count)
     if same:
         return Evidence(mean, 0.0, math.inf if mean else 0.0, 0.0, count, count)
-    from scipy.fft import dct
-    from scipy.special import fdtrc  # loads for a quarter of a second, and many commands ask for no quantile
+    from scipy.fft import dct  # slow to load
+    from scipy.special import fdtrc  # slow to load, and many commands need no test
 
     series = _centered_series(differences, alike)
     powers = dct(series, norm="ortho", axis=1)[:, 1:] ** 2  # without the mean's
@@ -203,7 +203,7 @@ def combine(evidence: Sequence[Evidence]) -> Evidence:
 
 def _variance_prior(variances: Array, freedom: float) -> tuple[float, float]:
     """Degrees of freedom and value of the variances' prior (Smyth 2004, section 6.2); (0, 1) for one variance."""
-    from scipy.special import digamma, polygamma  # as in student_quantile
+    from scipy.special import digamma, polygamma  # slow to load
 
     if len(variances) < 2:
         return 0.0, 1.0

@@ -15,7 +15,7 @@ import numpy as np
 from codecbench.core.analysis.curve_values import curve_values, objection
 from codecbench.core.analysis.evidence import FEWEST_FRAMES, Evidence, combine, evidence_of_frames, evidence_of_repeats
 from codecbench.core.analysis.passing import Joint, Level, Standing, Test, describe, parts
-from codecbench.core.analysis.run_result import Column, Key, RunResult, judged_column, over_link, successes
+from codecbench.core.analysis.run_result import Column, Key, RunResult, judged_column, successes, uses_link
 from codecbench.core.analysis.table import CellResult, by_row
 from codecbench.core.analysis.verdicts import Place, Points, SequenceCurve, values_in, values_of_repeats
 
@@ -84,15 +84,15 @@ def criteria(run: RunResult) -> list[list[Column]]:
     is measured, it is the first task, or else the first quality. A success that every run lacks counts only without
     such a task: then nothing is judged, and its reason says why. `choosing` judges what comes over a link.
     """
-    groups = [group for group in successes(run) if not over_link(group[0])]
-    tasks = [column for column in run.headlines("task") if column.metric.enough is not None and not over_link(column)]
+    groups = [group for group in successes(run) if not uses_link(group[0])]
+    tasks = [column for column in run.headlines("task") if column.metric.enough is not None and not uses_link(column)]
     judged = [group for group in groups if all(run.wide[column.name].notna().any() for column in group)]
     if groups and not judged:
         return [tasks[:1]] if tasks else groups
     if judged:
         return [[*group, *(task for task in tasks if task.evaluator != group[0].evaluator)] for group in judged]
     column = judged_column(run)
-    return [] if column is None or over_link(column) else [[column]]
+    return [] if column is None or uses_link(column) else [[column]]
 
 
 def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Limit]:

@@ -39,7 +39,7 @@ class Standing:
         """95 % confidence interval of the success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953)."""
         if not self.runs:
             return 0.0, 1.0
-        from scipy.stats import binomtest  # loads for half a second, and few runs have a task
+        from scipy.stats import binomtest  # takes 1.5 s to load, and few runs have a task
 
         limits = binomtest(self.successes, self.runs).proportion_ci(method="wilson")
         return float(limits.low), float(limits.high)

@@ -130,7 +130,7 @@ class LimitPower:
     @cached_property
     def detectable_rate(self) -> float:
         """The success rate from which runs show a pass in the share `power` of cases; NaN if so few never do."""
-        from scipy.special import betaincinv  # as in student_quantile
+        from scipy.special import betaincinv  # slow to load
 
         runs = self.standing.runs
         least = next((n for n in range(runs + 1) if Standing("", 0.0, n, runs).verdict == "passes"), None)

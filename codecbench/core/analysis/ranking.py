@@ -244,8 +244,8 @@ def _widest_gap(names: tuple[str, str], curves: Mapping[str, CurveValues], at: f
     means = both[worst].means
     widths = np.diff(means)
     if len(gaps[worst]) == len(widths) - 1 and np.isfinite(gaps[worst]).all():
-        beside = np.r_[0.0, gaps[worst], 0.0]
-        widths = widths * np.maximum(beside[:-1], beside[1:])
+        of_neighbors = np.r_[0.0, gaps[worst], 0.0]
+        widths = widths * np.maximum(of_neighbors[:-1], of_neighbors[1:])
     inside = (means[:-1] < high) & (means[1:] > low)
     place = int(np.argmax(widths * inside if inside.any() else widths))
     return Gap(names[worst], (both[worst].points[place], both[worst].points[place + 1]))
@@ -255,7 +255,7 @@ def _rank_correlation(count: int, by_sequence: Mapping[str, _Pairs]) -> dict[str
     """By sequence, Kendall's tau-b of its order and the others' (Kendall 1945, doi:10.1093/biomet/33.3.239)."""
     if len(by_sequence) < 2:
         return {}
-    from scipy.stats import kendalltau  # loads for half a second, and few runs have two sequences
+    from scipy.stats import kendalltau  # takes 1.5 s to load, and few runs need it
 
     correlations = {}
     for name, pairs_here in by_sequence.items():

@@ -291,7 +291,7 @@ def judged_column(run: RunResult) -> Column | None:
     judged, tasks = successes(run), run.headlines("task")
     if judged:
         tasks = [column for column in tasks if column.evaluator == judged[0][0].evaluator] or tasks
-    linked = [column for column in tasks if over_link(column)]
+    linked = [column for column in tasks if uses_link(column)]
     erring = [column for column in linked if column.metric.quantity == "error"]
     ranked = [column for column in (*erring, *tasks, *run.headlines("quality")) if column.metric.better != "neither"]
     return next(iter(ranked), None)
@@ -308,7 +308,7 @@ def successes(run: RunResult) -> list[list[Column]]:
         for result in run.results
         if result.status == "ok" and result.row[1] in run.schema.baselines
     }
-    complete = of_baselines & {column.evaluator for column in known if not over_link(column)}
+    complete = of_baselines & {column.evaluator for column in known if not uses_link(column)}
     columns: dict[str, list[Column]] = defaultdict(list)
     for column in run.columns.values():
         if column in known or (column.evaluator in complete and column.is_headline and column.metric.role == "success"):
@@ -316,6 +316,6 @@ def successes(run: RunResult) -> list[list[Column]]:
     return list(columns.values())
 
 
-def over_link(column: Column) -> bool:
+def uses_link(column: Column) -> bool:
     """Whether the column measures what comes over a link."""
     return any(used.kind == "link" for used in column.evaluator.uses)

@@ -74,7 +74,7 @@ class CellResult:
 
     def values_of_frames(self, metric: str, stage: str = "") -> NDArray[np.float64]:
         """(frames,) values of a metric by frame; NaN for frames without one."""
-        import pyarrow.compute as pc  # as in samples: many commands read no samples
+        import pyarrow.compute as pc  # slow to load, and many commands read no samples
 
         samples = self.samples()
         of_stage = pc.equal(samples["stage"], stage) if stage else pc.is_null(samples["stage"])

@@ -13,7 +13,7 @@ from codecbench.core.analysis.passing import Level, Standing, Test, describe, pa
 from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.run_result import Column, RunResult
 from codecbench.core.engine.planning.model import SearchFinding
-from codecbench.core.report.choosing import over_links
+from codecbench.core.report.choosing import link_verdicts
 from codecbench.core.report.costs import coarser_settings, coding_ms, deciding_cost, rate_words, times_decide
 from codecbench.core.report.formatting import (
     Verdict,
@@ -79,9 +79,9 @@ class Answers:
         return self.sentence
 
 
-def anchor_of(run: RunResult, answers_: Answers) -> Answer | None:
+def anchor_of(run: RunResult, answer_set: Answers) -> Answer | None:
     """The first anchor that has a pick, with which the cost of others is compared."""
-    picked = [answer for answer in answers_.answers if answer.limit.lowest is not None]
+    picked = [answer for answer in answer_set.answers if answer.limit.lowest is not None]
     return next((answer for name in run.schema.anchors for answer in picked if _codec(answer.curve) == name), None)
 
 
@@ -98,8 +98,8 @@ def answers_of_settings(run: RunResult) -> list[Answers]:
     run = run.as_calibrated
     if run.rate is None:
         return [Answers(_NO_RATE, sentence=f"Nothing can be named: {_NO_RATE[0].lower()}{_NO_RATE[1:]}")]
-    judged = [answers_ for columns in criteria(run) if (answers_ := _judge(run, columns)) is not None]
-    linked = over_links(run)
+    judged = [answer_set for columns in criteria(run) if (answer_set := _judge(run, columns)) is not None]
+    linked = link_verdicts(run)
     if not linked:
         return judged or [_answer_by_ranking(run)]
     first, *others = judged or [Answers("Settings are judged by what comes over each link.", about="links")]
@@ -109,7 +109,7 @@ def answers_of_settings(run: RunResult) -> list[Answers]:
 
 def _answer_by_ranking(run: RunResult) -> Answers:
     """The answer of a run without criteria."""
-    on = _on(run)
+    on = _answer_sequence(run)
     rankings_there = [ranking for ranking in rankings(run, brief=True) if ranking.sequence == on]
     ranking = next((ranking for ranking in rankings_there if ranking.ranked), None)
     if ranking is None:
@@ -123,7 +123,7 @@ def _answer_by_ranking(run: RunResult) -> Answers:
     return Answers(basis, (), ranking.column.label, verdict.sentences[0], on, table=brief)
 
 
-def _on(run: RunResult) -> str:
+def _answer_sequence(run: RunResult) -> str:
     """The sequence of the answers: the only one, or all."""
     return run.plan.sequences[0].name if len(run.plan.sequences) == 1 else POOLED
 
@@ -168,7 +168,7 @@ class _Judged:
 
 def _judge(run: RunResult, columns: list[Column]) -> Answers | None:
     """Judge every curve by some criteria; None if there are no curves."""
-    on = _on(run)
+    on = _answer_sequence(run)
     by_sequence = limits(run, columns)
     curves = {curve: limit for (sequence, curve), limit in by_sequence.items() if sequence == on}
     if not curves:
@@ -181,14 +181,14 @@ def _judge(run: RunResult, columns: list[Column]) -> Answers | None:
     judged = _Judged(run, on, dict(sorted(others.items(), key=lambda item: _place(unsorted, *item))), silent)
     what = " and ".join(column.label for column in columns)
     requirement = _requirement(raw, *curves.values())
-    over = _over(run, curves.values())
+    over = _extent(run, curves.values())
     basis = f"A setting passes by “{what}”{requirement and f' ({requirement})'}, {over}"
     if raw.settings:
         basis += f"; raw itself: {describe(raw.settings[0])}"
-    answers_ = tuple(
+    answer_set = tuple(
         Answer(curve, limit_sentence(run, on, curve, limit), limit) for curve, limit in judged.limits.items()
     )
-    return Answers(f"{basis}.", answers_, what, _sentence(judged, raw), on, over, raw)
+    return Answers(f"{basis}.", answer_set, what, _answer_sentence(judged, raw), on, over, raw)
 
 
 def _codec(curve: str) -> str:
@@ -204,16 +204,16 @@ def _place(judged: _Judged, curve: str, limit: Limit) -> tuple[int, float]:
     return (2, 0.0) if likely is None else (1, likely.rate)
 
 
-def _requirement(*limits_: Limit) -> str:
+def _requirement(*limits_of_curves: Limit) -> str:
     """The criteria in numbers, from the first setting that has them."""
-    tests = (setting for limit in limits_ for setting in limit.settings)
+    tests = (setting for limit in limits_of_curves for setting in limit.settings)
     texts = ("; ".join(part.requirement for part in parts(test) if part.requirement) for test in tests)
     return next(filter(None, texts), "")
 
 
-def _over(run: RunResult, limits_: Iterable[Limit] = ()) -> str:
+def _extent(run: RunResult, limits_of_curves: Iterable[Limit] = ()) -> str:
     """`fr3, the first 150 of 798 frames, 4 runs a setting`."""
-    tests = [part for limit in limits_ for setting in limit.settings for part in parts(setting)]
+    tests = [part for limit in limits_of_curves for setting in limit.settings for part in parts(setting)]
     runs = max((test.runs for test in tests if isinstance(test, Standing)), default=0)
     many = f", {runs} {'run' if runs == 1 else 'runs'} a setting" if runs else ""
     sequences = run.plan.sequences
@@ -223,23 +223,23 @@ def _over(run: RunResult, limits_: Iterable[Limit] = ()) -> str:
     return f"{sequences[0].name}, {used or f'{sequences[0].frames} frames'}{many}"
 
 
-def _sentence(judged: _Judged, raw: Limit) -> str:
+def _answer_sentence(judged: _Judged, raw: Limit) -> str:
     """The setting to take, or why nothing is known to pass."""
     passing = [(curve, limit) for curve, limit in judged.limits.items() if limit.lowest is not None]
-    return _use(judged, *passing[0]) if passing else _nothing(judged, raw)
+    return _use_sentence(judged, *passing[0]) if passing else _nothing_sentence(judged, raw)
 
 
-def _use(judged: _Judged, curve: str, limit: Limit) -> str:
+def _use_sentence(judged: _Judged, curve: str, limit: Limit) -> str:
     """`Use h264 crf=30: 0.59 Mbit/s ..., 79 % less than the smallest jpeg that passes (...); ..., first 150 frames.`"""
     taken = limit.lowest
     assert taken is not None
     endless = limit.next is None and not times_decide(judged.run)
     words = [f"Use {setting_name(curve, taken)}{' or coarser' if endless else ''}: {judged.cost_words(curve, taken)}"]
     saved = _saving(judged, curve, taken)
-    sure = "; ".join(_sure(part) for part in parts(taken))
+    sure = "; ".join(_confidence(part) for part in parts(taken))
     words[0] += f", {saved}" if saved else ""
     silent = f" (nothing can be judged on {', '.join(judged.silent)})" if judged.silent else ""
-    words += [f"{sure}, {_over(judged.run)}{silent}"]
+    words += [f"{sure}, {_extent(judged.run)}{silent}"]
     if endless:
         coarser = [name for name in dict.fromkeys([curve, *judged.anchors[:1]]) if judged.limits[name].next is None]
         more = [spelled for name in coarser if (spelled := coarser_settings(judged.run, name))]
@@ -250,7 +250,7 @@ def _use(judged: _Judged, curve: str, limit: Limit) -> str:
     return f"{'; '.join(words)}."
 
 
-def _sure(test: Standing | Level) -> str:
+def _confidence(test: Standing | Level) -> str:
     """`tracked like raw in 4 of 4 runs (at least 51 % at 95 %)`."""
     if isinstance(test, Standing):
         asked = f": {test.requirement}" if test.requirement else ""
@@ -282,7 +282,7 @@ def _saving(judged: _Judged, curve: str, taken: Test) -> str:
     return f"{judged.less(curve, taken, name, lowest)} than the {tried} ({lowest.point}, {cost})"
 
 
-def _nothing(judged: _Judged, raw: Limit) -> str:
+def _nothing_sentence(judged: _Judged, raw: Limit) -> str:
     """Why nothing is known to pass: the nearest setting or the failing ones."""
     if not judged.limits:
         return "Nothing can be named: no codec was measured beside the baseline."

@@ -24,7 +24,13 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.verdicts import median
 from codecbench.core.contracts.metric import FRESH_S
 from codecbench.core.report.costs import deciding_cost, rate_cell, rate_words
-from codecbench.core.report.formatting import Verdict, compact_table, format_percent, sequence_words, without_pick
+from codecbench.core.report.formatting import (
+    Verdict,
+    compact_table,
+    curves_without_pick,
+    format_percent,
+    sequence_words,
+)
 from codecbench.core.report.tables import padded_digits, three_digits
 
 _NAMED: Final = 3
@@ -44,10 +50,10 @@ _GROUPS: Final[dict[Shortfall, tuple[str, str]]] = {
 
 def candidates_over_links(run: RunResult) -> list[list[Candidate]]:
     """The settings over each link with a reader, on all sequences together, by rate."""
-    return [groups[0] for groups in _over_each(run, Demand(""))] if links_with_readers(run) else []
+    return [groups[0] for groups in _candidates_by_link(run, Demand(""))] if links_with_readers(run) else []
 
 
-def over_links(run: RunResult) -> list[Verdict]:
+def link_verdicts(run: RunResult) -> list[Verdict]:
     """The choices over each link with a reader, without further demands."""
     return choices(run, Demand("")) if links_with_readers(run) else []
 
@@ -57,7 +63,7 @@ def choices(run: RunResult, demand: Demand) -> list[Verdict]:
 
     Raises NotMeasured.
     """
-    links = _over_each(run, demand)
+    links = _candidates_by_link(run, demand)
     tables = [_table(run, settings, is_first=settings is groups[0]) for groups in links for settings in groups]
     answers = tuple(answer(run, groups[0]) for groups in links)
     return [*tables, Verdict("answer", (), (), answers)]
@@ -65,7 +71,7 @@ def choices(run: RunResult, demand: Demand) -> list[Verdict]:
 
 def link_picks(run: RunResult, demand: Demand) -> list[Verdict]:
     """A table of the picks over a link, or one over each link, on all sequences together. Raises NotMeasured."""
-    return [_picks(run, groups[0]) for groups in _over_each(run, demand)]
+    return [_picks(run, groups[0]) for groups in _candidates_by_link(run, demand)]
 
 
 def _picks(run: RunResult, settings: list[Candidate]) -> Verdict:
@@ -80,7 +86,7 @@ def _picks(run: RunResult, settings: list[Candidate]) -> Verdict:
         row = {"codec": curve, "setting": f"{taken.point} {taken.way}".strip()}
         row |= dict([rate_cell(run, taken.sequence, curve, _setting(taken))])
         if anchors:
-            beside = "" if taken is anchors[0] else f"{format_percent(_more(run, taken, anchors[0]))} %"
+            beside = "" if taken is anchors[0] else f"{format_percent(_extra_percent(run, taken, anchors[0]))} %"
             row[f"vs. {anchors[0].curve}"] = beside
         row["error m"] = "" if math.isnan(taken.error_m) else padded_digits(taken.error_m)
         row["fresh"] = "" if math.isnan(taken.fresh) else _percent(taken.fresh)
@@ -102,7 +108,7 @@ def _picks(run: RunResult, settings: list[Candidate]) -> Verdict:
         table,
         sentences=(
             *table.sentences,
-            *without_pick(
+            *curves_without_pick(
                 [curve for curve in others if all(member.verdict == "fails" for member in by_curve[curve])], others
             ),
         ),
@@ -113,7 +119,7 @@ def _nearest(settings: list[Candidate]) -> Candidate:
     return max(settings, key=lambda candidate: [standing.successes for standing in candidate.standings])
 
 
-def _over_each(run: RunResult, demand: Demand) -> list[list[list[Candidate]]]:
+def _candidates_by_link(run: RunResult, demand: Demand) -> list[list[list[Candidate]]]:
     """Candidates by link and sequence, those of all sequences together first."""
     usable = links_with_readers(run) if demand.deadline_ms is None else links_of(run)
     links = [demand.link] if demand.link else usable or links_of(run)[:1] or [""]
@@ -227,11 +233,11 @@ def answer(run: RunResult, settings: list[Candidate]) -> str:
         return f"Nothing {none} over {demand.link}, because {why} ({limit_of(nearest)})."
     taken, sure = passing[0], passing[0].least_sure
     chance = f"passes in {sure.successes} of {sure.runs} runs (at least {100 * sure.interval[0]:.0f} % at 95 %)"
-    cost = f"{_cost_words(run, taken)}{_beside_anchor(run, settings)}"
+    cost = f"{_cost_words(run, taken)}{_saving(run, settings)}"
     return f"Over {demand.link} use {taken.name}: {cost}; {chance}: {_facts(taken)}."
 
 
-def _beside_anchor(run: RunResult, settings: list[Candidate]) -> str:
+def _saving(run: RunResult, settings: list[Candidate]) -> str:
     """`, 70 % less than the smallest jpeg that passes (quality=10, 2 Mbit/s)`."""
     anchor = next(iter(run.schema.anchors), "")
     taken = _passing(settings)[0]
@@ -241,7 +247,7 @@ def _beside_anchor(run: RunResult, settings: list[Candidate]) -> str:
     if taken in anchors:
         others = [candidate for candidate in _passing(settings) if candidate not in anchors]
         return (
-            f", {-_more(run, taken, others[0]):.0f} % less than the next codec that passes ({others[0].name})"
+            f", {-_extra_percent(run, taken, others[0]):.0f} % less than the next codec that passes ({others[0].name})"
             if others
             else ""
         )
@@ -250,11 +256,11 @@ def _beside_anchor(run: RunResult, settings: list[Candidate]) -> str:
     smallest = next(iter(_passing(anchors)), None)
     if smallest is None:
         return f", where no {anchor} setting tried passes"
-    less = f"{-_more(run, taken, smallest):.0f} % less than the smallest {anchor} that passes"
+    less = f"{-_extra_percent(run, taken, smallest):.0f} % less than the smallest {anchor} that passes"
     return f", {less} ({smallest.point}, {_cost_words(run, smallest, brief=True)})"
 
 
-def _more(run: RunResult, taken: Candidate, other: Candidate) -> float:
+def _extra_percent(run: RunResult, taken: Candidate, other: Candidate) -> float:
     """The additional cost of a setting against another, in percent."""
     costs = [deciding_cost(run, setting.sequence, setting.curve, _setting(setting)) for setting in (taken, other)]
     return 100.0 * (costs[0] / costs[1] - 1.0)

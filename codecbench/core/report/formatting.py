@@ -65,7 +65,7 @@ def compact_table(title: str, rows: Sequence[Mapping[str, str]]) -> Verdict:
     )
 
 
-def without_pick(failing: Sequence[str], curves: Sequence[str]) -> Iterator[str]:
+def curves_without_pick(failing: Sequence[str], curves: Sequence[str]) -> Iterator[str]:
     """Name the curves that have no pick: those whose settings all fail, and the others."""
     open_ = [curve for curve in curves if curve not in failing]
     for words, names in (("No setting tried passes of", failing), ("No setting is known to pass of", open_)):

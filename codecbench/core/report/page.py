@@ -21,7 +21,7 @@ from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.text import counted
 from codecbench.core.report.answers import answers_of_settings
-from codecbench.core.report.choosing import over_links
+from codecbench.core.report.choosing import link_verdicts
 from codecbench.core.report.formatting import Verdict, verdicts
 from codecbench.core.report.page_data import page_data, verdict_tables
 from codecbench.core.report.picks import answer_tables, text_to_paste
@@ -58,11 +58,11 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
     failure_bytes = sum(len(text.encode()) for failure in failures for text in failure.values())
     spent_bytes = len(_script_json(data).encode()) + len(run.plan.matrix_text.encode()) + failure_bytes
     data |= frames(SIZE_LIMIT_BYTES - _REST_BYTES - spent_bytes)
-    verdicts_ = verdicts(run)
+    decisions = verdicts(run)
     first = first_view(run)
     judged = judged_column(run) if first is None else first.y
-    ranked = next((verdict for verdict in verdicts_ if verdict.about is not None and verdict.about == judged), None)
-    others = [verdict for verdict in verdicts_ if verdict is not ranked]
+    ranked = next((verdict for verdict in decisions if verdict.about is not None and verdict.about == judged), None)
+    others = [verdict for verdict in decisions if verdict is not ranked]
     success_columns = successes(run)
     answers = answers_of_settings(run)
     timelines = [view for view in data["map_views"] if any(drawing["timeline"] for drawing in view["drawings"])]
@@ -82,10 +82,10 @@ def render(run: RunResult, frames: Callable[[int], dict[str, Any]]) -> str:
             (f"{r.cell.codec.name} {r.cell.codec.label}".strip() for r in run.results if r.cell.codec.label), ""
         ),
         cards=_cards(run),
-        over_links=over_links(run),
+        link_verdicts=link_verdicts(run),
         cut=_cut,
         answers=answers,
-        strips=[strips(run, each) for each in answers],
+        strips=[strips(run, of) for of in answers],
         link_strips=link_strips(run),
         ranked=ranked,
         decided=_group(others),

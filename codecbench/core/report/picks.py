@@ -17,7 +17,13 @@ from codecbench.core.engine.text import counted
 from codecbench.core.report.answers import Answers, anchor_of, answers
 from codecbench.core.report.choosing import link_picks
 from codecbench.core.report.costs import coding_ms, deciding_cost, rate_cell, times_decide
-from codecbench.core.report.formatting import Verdict, compact_table, format_percent, search_verdicts, without_pick
+from codecbench.core.report.formatting import (
+    Verdict,
+    compact_table,
+    curves_without_pick,
+    format_percent,
+    search_verdicts,
+)
 from codecbench.core.report.tables import (
     calibration_notes,
     escape,
@@ -32,9 +38,11 @@ _COLUMNS: Final = 8
 """Columns of a table of every setting, which a screen can show."""
 
 
-def picks(run: RunResult, answers_: Answers) -> list[Verdict]:
+def picks(run: RunResult, answer_set: Answers) -> list[Verdict]:
     """The pick of each codec by an answer of the run, and over its links; without criteria, all settings."""
-    tables = [_pick_table(run, answers_)] if answers_.answers else [] if answers_.table is None else [answers_.table]
+    tables = (
+        [_pick_table(run, answer_set)] if answer_set.answers else [] if answer_set.table is None else [answer_set.table]
+    )
     over = link_picks(run, Demand("")) if links_with_readers(run) else []
     return [*tables, *over] or [_setting_table(run)]
 
@@ -56,27 +64,27 @@ def _text(value: object) -> str:
     return str(value)
 
 
-def _pick_table(run: RunResult, answers_: Answers) -> Verdict:
+def _pick_table(run: RunResult, answer_set: Answers) -> Verdict:
     """A row for each codec that has a pick; if none has, the nearest setting of each."""
-    picked = [answer for answer in answers_.answers if answer.limit.lowest is not None]
-    anchor = anchor_of(run, answers_)
+    picked = [answer for answer in answer_set.answers if answer.limit.lowest is not None]
+    anchor = anchor_of(run, answer_set)
     rows = []
-    for answer in picked or answers_.answers:
+    for answer in picked or answer_set.answers:
         row, setting, after = {"codec": answer.curve}, answer.setting, answer.limit.next
         if setting is not None:
-            row |= {"setting": setting.point, **_costs(run, answers_.on, answer.curve, setting)}
+            row |= {"setting": setting.point, **_costs(run, answer_set.on, answer.curve, setting)}
             if anchor is not None and anchor.setting is not None:
-                cost_of_anchor = deciding_cost(run, answers_.on, anchor.curve, anchor.setting)
-                more = 100.0 * (deciding_cost(run, answers_.on, answer.curve, setting) / cost_of_anchor - 1.0)
+                cost_of_anchor = deciding_cost(run, answer_set.on, anchor.curve, anchor.setting)
+                more = 100.0 * (deciding_cost(run, answer_set.on, answer.curve, setting) / cost_of_anchor - 1.0)
                 row[f"vs. {anchor.curve}"] = "" if answer is anchor else f"{format_percent(more)} %"
             row |= measured_values(setting)
             row |= {"next coarser": _next(after)} if picked else {"verdict": setting.verdict}
         rows.append(row)
-    table = compact_table(f"The pick of each codec, {answers_.over}", rows)
-    others = [answer for answer in answers_.answers if picked and answer not in picked and not answer.limit.reason]
+    table = compact_table(f"The pick of each codec, {answer_set.over}", rows)
+    others = [answer for answer in answer_set.answers if picked and answer not in picked and not answer.limit.reason]
     failing = [answer.curve for answer in others if answer.passes is False]
-    without = without_pick(failing, [answer.curve for answer in others])
-    unjudged = (answer.sentence for answer in answers_.answers if answer.limit.reason)
+    without = curves_without_pick(failing, [answer.curve for answer in others])
+    unjudged = (answer.sentence for answer in answer_set.answers if answer.limit.reason)
     return replace(table, sentences=(*table.sentences, *without, *unjudged))
 
 
@@ -104,10 +112,10 @@ def _sureness(part: Standing | Level) -> float:
 def _cell(part: Standing | Level) -> tuple[str, str]:
     if isinstance(part, Standing):
         return "runs", f"{part.successes}/{part.runs}"
-    return part.column.short_heading.replace("\n", " "), _sure(part)
+    return part.column.short_heading.replace("\n", " "), _value_words(part)
 
 
-def _sure(part: Level) -> str:
+def _value_words(part: Level) -> str:
     """`0.914 ± 0.008`, both with equally many digits after the point."""
     value = padded_digits(part.column.factor * part.value)
     if not 0.0 < part.reach < math.inf:
@@ -118,9 +126,9 @@ def _sure(part: Level) -> str:
 
 def answer_tables(run: RunResult) -> list[Verdict]:
     """The findings of searches, the table of picks, and last the answer."""
-    answers_ = answers(run)
-    answer = Verdict("answer", (), (), tuple(answers_.sentence.splitlines()))
-    return [*search_verdicts(run, brief=True), *picks(run, answers_), answer]
+    answer_set = answers(run)
+    answer = Verdict("answer", (), (), tuple(answer_set.sentence.splitlines()))
+    return [*search_verdicts(run, brief=True), *picks(run, answer_set), answer]
 
 
 def text_to_paste(run: RunResult, verdicts: Sequence[Verdict], format_: str) -> str:
@@ -128,8 +136,8 @@ def text_to_paste(run: RunResult, verdicts: Sequence[Verdict], format_: str) -> 
 
     In latex, everything except tables is a comment."""
     notes = [*calibration_notes(run), *setting_notes(run)]
-    parts_ = [*([Verdict("notes", (), (), tuple(notes))] if notes else []), *verdicts]
-    return "\n".join(_latex(verdict) if format_ == "latex" else _markdown(verdict) for verdict in parts_)
+    sections = [*([Verdict("notes", (), (), tuple(notes))] if notes else []), *verdicts]
+    return "\n".join(_latex(verdict) if format_ == "latex" else _markdown(verdict) for verdict in sections)
 
 
 def _markdown(verdict: Verdict) -> str:

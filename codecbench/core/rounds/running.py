@@ -73,7 +73,7 @@ def plan_matrix(matrix: Matrix, out: str | Path | None) -> tuple[Plan, Path, Gro
     grows = matrix.searches or matrix.until is not None or any(entry.requires for entry in matrix.evaluators)
     if not grows:
         return make_plan(matrix), folder, None
-    from codecbench.core.rounds.growth import Growth  # tables and statistics take a second to load
+    from codecbench.core.rounds.growth import Growth  # its tables and statistics take a second to load
 
     growth = Growth(matrix, folder, installed())
     return growth.first_plan(), folder, growth

@@ -228,7 +228,7 @@ FEWEST: Final = 4
 
 def stands(successes: int, runs: int) -> bool:
     """Whether the verdict on so many runs stands with confidence, however many follow."""
-    from scipy.special import betaln  # loads for a quarter of a second, and few runs are added to
+    from scipy.special import betaln  # slow to load, and few runs need it
 
     mixed = float(betaln(successes + 1, runs - successes + 1))
     at_limit = successes * math.log(PASSES_ABOVE) + (runs - successes) * math.log(1.0 - PASSES_ABOVE)
