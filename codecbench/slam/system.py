@@ -11,18 +11,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.slam.atlas.atlas import Atlas
-from codecbench.slam.atlas.tracked_map import TrackedMap
-from codecbench.slam.features.extractor import FeatureExtractor, Features, Keypoints
-from codecbench.slam.features.gray import ImageArray, to_gray
+from codecbench.slam.atlas import Atlas, TrackedMap
+from codecbench.slam.features.extractor import FeatureExtractor, Features, ImageArray, Keypoints, to_gray
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
-from codecbench.slam.mapping.decoded_keyframes import use_decoded
 from codecbench.slam.mapping.initialization import Initializer
+from codecbench.slam.mapping.mapper import use_decoded
 from codecbench.slam.options import Options
 from codecbench.slam.result import ClosedLoop, FrameState, FrameTrajectory, Result, State
-from codecbench.slam.tracking.localizer import Localizer
+from codecbench.slam.tracking.relocalization import Localizer
 
 KeyframeImage = Callable[[ImageArray], ImageArray]
 

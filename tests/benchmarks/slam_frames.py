@@ -23,8 +23,7 @@ from codecbench import slam
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.tables import table
-from codecbench.slam.atlas.atlas import Atlas
-from codecbench.slam.atlas.tracked_map import TrackedMap
+from codecbench.slam.atlas import Atlas, TrackedMap
 from codecbench.slam.features import extractor
 from codecbench.slam.mapping.initialization import Initializer
 from codecbench.slam.mapping.mapper import Mapper

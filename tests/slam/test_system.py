@@ -18,7 +18,7 @@ from codecbench.core.contracts.image import gray_from_image
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.slam import Camera, Options, Result, System
-from codecbench.slam.atlas.tracked_map import TrackedMap
+from codecbench.slam.atlas import TrackedMap
 from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.mapping.initialization import Initializer

@@ -14,13 +14,23 @@ import numpy as np
 from numba.cpython.unsafe import numbers as bits
 
 from codecbench.core.kernels.compiled import compiled
-from codecbench.slam.features.blocks import spans
 
 SUBPIXELS: Final = 4
-"""Parts of a pixel, each way, that corners are told apart by."""
+"""Parts of a pixel, each way, to which corners are located."""
 
 _RADIUS = 3
+_BLOCK = 32  # pixels of 8 bits that a vector holds, or a divisor of it
 _trailing_zeros: Any = bits.trailing_zeros
+
+
+@compiled
+def spans(first: int, last: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Two spans of pixels, start and end, that cover first..last - 1 in whole blocks, the second over some of the first
+    again; where there is no whole block, the first span is all."""
+    whole = first + (last - first) // _BLOCK * _BLOCK
+    if whole in (first, last):
+        return (first, last), (last, last)
+    return (first, whole), (last - _BLOCK, last)
 
 
 @compiled

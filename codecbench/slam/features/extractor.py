@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.slam.features.orb_kernels import describe_corners, find_corners, index_cells
-from codecbench.slam.geometry.camera import Camera
+from codecbench.slam.geometry.camera import Camera, Floats
 from codecbench.slam.options import Options
+from codecbench.slam.thresholds import CAMERA_SIGMA_DEG, KEYPOINT_SIGMA_PX
 
 CELL_PX = 10.0
 """Side of the cells by which features are looked up, pixels."""
@@ -148,3 +149,30 @@ class FeatureExtractor:
             cv2.resize(levels[-1], level.shape[::-1], dst=level, interpolation=cv2.INTER_LINEAR)
             levels.append(level)
         return levels
+
+
+ImageArray = NDArray[np.uint8]
+
+
+def to_gray(image: NDArray[Any]) -> ImageArray:
+    """The image in gray (height, width), by BT.601 where it has three channels, red first.
+
+    Raises TypeError for what is not a uint8 array (height, width) or (height, width, 1 or 3).
+    """
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
+        raise TypeError(f"image: got {getattr(image, 'dtype', type(image).__name__)}; expected a uint8 array")
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[:, :, 0]
+    if image.ndim == 2:
+        return np.ascontiguousarray(image)
+    if image.ndim == 3 and image.shape[2] == 3:
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+    raise TypeError(f"image: got shape {image.shape}; expected (height, width) or (height, width, 3)")
+
+
+def pixel_variances(camera: Camera, scale_factors: Floats) -> Floats:
+    """Variance of a keypoint's place in the image along each axis, px^2, by level (L,), whose `scale_factors` are (L,).
+
+    What a corner is missed by grows with its level; what the camera's model leaves out, of lens and shutter, does not.
+    """
+    return np.asarray(camera.pixels_across(CAMERA_SIGMA_DEG) ** 2 + (KEYPOINT_SIGMA_PX * scale_factors) ** 2)

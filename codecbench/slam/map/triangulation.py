@@ -19,7 +19,7 @@ from codecbench.slam.geometry.two_view import fundamental_between
 from codecbench.slam.geometry.two_view_points import triangulate_pair
 from codecbench.slam.map.point_kernels import median_depth
 from codecbench.slam.map.tables import Views
-from codecbench.slam.optimisation.bundle_kernels import reprojection
+from codecbench.slam.optimization.bundle_kernels import reprojection
 
 
 @compiled

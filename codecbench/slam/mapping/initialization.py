@@ -10,18 +10,16 @@ from numpy.typing import NDArray
 
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
-from codecbench.slam.features.extractor import Features
+from codecbench.slam.features.extractor import Features, pixel_variances
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
-from codecbench.slam.features.uncertainty import pixel_variances
 from codecbench.slam.geometry import two_view as geometry
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.linear_systems import copy_numbers
-from codecbench.slam.geometry.motion_uncertainty import direction_deviation_deg
+from codecbench.slam.geometry.two_view import direction_deviation_deg
 from codecbench.slam.geometry.two_view_points import TwoViewPoints
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
-from codecbench.slam.mapping.decoded_keyframes import match_decoded, use_decoded
-from codecbench.slam.mapping.mapper import Mapper, adjust_keyframes
+from codecbench.slam.mapping.mapper import Mapper, adjust_keyframes, match_decoded, use_decoded
 
 Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from codecbench.slam.map.fusion import fuse
 from codecbench.slam.map.map import Indices, Map
 from codecbench.slam.mapping.loop_detection import Loop, rigid_part
 from codecbench.slam.mapping.mapper import adjust_keyframes
-from codecbench.slam.optimisation import pose_graph
+from codecbench.slam.optimization import pose_graph
 
 
 def close_loop(slam_map: Map, camera: Camera, loop: Loop) -> Array:

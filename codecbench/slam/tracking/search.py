@@ -13,7 +13,7 @@ from codecbench.slam.features.matching import Queries, keep_consistent_rotations
 from codecbench.slam.geometry.rotations import orthonormalize
 from codecbench.slam.map.projection import project_ahead, project_points
 from codecbench.slam.map.tables import PointTable
-from codecbench.slam.optimisation.pose_optimization import optimize_in_place
+from codecbench.slam.optimization.pose_optimization import optimize_in_place
 
 
 class PointColumns(NamedTuple):

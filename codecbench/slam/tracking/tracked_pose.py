@@ -13,7 +13,7 @@ from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose, sim3_scale
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Indices, Map
-from codecbench.slam.optimisation.pose_optimization import optimize_pose
+from codecbench.slam.optimization.pose_optimization import optimize_pose
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from codecbench.slam.features.extractor import Features
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.map.projection import project_map_points
-from codecbench.slam.optimisation.pose_optimization import optimize_pose
+from codecbench.slam.optimization.pose_optimization import optimize_pose
 from codecbench.slam.tracking.search import Lens, columns_of, optimize_shown, search_last, search_local
 
 pytestmark = pytest.mark.thorough

@@ -14,10 +14,8 @@ from rendered_scenes import CAMERA, features_at, position_error
 
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.plugins.datasets.synthetic.dataset import SyntheticParams, SyntheticSequence
-from codecbench.slam import Camera, MergedMaps, Options, Result, System, thresholds
-from codecbench.slam.atlas import atlas
-from codecbench.slam.atlas.atlas import Atlas
-from codecbench.slam.atlas.tracked_map import TrackedMap
+from codecbench.slam import Camera, MergedMaps, Options, Result, System, atlas, thresholds
+from codecbench.slam.atlas import Atlas, TrackedMap
 from codecbench.slam.map.frame import TrackingFrame
 
 pytestmark = pytest.mark.thorough

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.geometry.linear_systems import Indices, envelope_offsets, envelope_order, first_neighbours
 from codecbench.slam.geometry.rotations import Array, orthonormalize
-from codecbench.slam.optimisation.bundle_kernels import (
+from codecbench.slam.optimization.bundle_kernels import (
     Observations,
     camera_adjacency,
     classify,
     minimize,
     robust_cost,
 )
-from codecbench.slam.optimisation.bundle_schur import Layout
+from codecbench.slam.optimization.bundle_schur import Layout
 from codecbench.slam.thresholds import CHI2_95_2DOF
 
 HUBER_95 = float(np.sqrt(CHI2_95_2DOF))

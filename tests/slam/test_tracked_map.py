@@ -6,8 +6,8 @@ from map_scenes import build_map, observe_scene
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, looking, random_descriptors
 
-from codecbench.slam.atlas import tracked_map
-from codecbench.slam.atlas.tracked_map import TrackedMap
+from codecbench.slam import atlas
+from codecbench.slam.atlas import TrackedMap
 from codecbench.slam.geometry.transforms import se3_inverse
 from codecbench.slam.map.map import Map
 from codecbench.slam.mapping.loop_detection import Loop
@@ -32,7 +32,7 @@ def test_the_last_frame_follows_its_reference_when_a_loop_is_closed(
         slam_map.transform(turned)
         return np.asarray(np.linalg.inv(turned))
 
-    monkeypatch.setattr(tracked_map, "close_loop", close)
+    monkeypatch.setattr(atlas, "close_loop", close)
     monkeypatch.setattr(followed._detector, "detect", lambda k: Loop(k, 0, np.eye(4), np.empty(0, np.int64), 50))
     closed = followed.close_loop(2)
     assert closed is not None

@@ -14,7 +14,7 @@ import numpy as np
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.geometry.linear_systems import copy_numbers, factorize_envelope, solve_envelope
-from codecbench.slam.optimisation.bundle_schur import MIN_DAMPING, Workspace, eliminate, move_cameras, move_points
+from codecbench.slam.optimization.bundle_schur import MIN_DAMPING, Workspace, eliminate, move_cameras, move_points
 
 MAX_CHI2 = 1e8  # an error beyond it, or a point behind the camera, costs so much and pulls at nothing
 _START_DAMPING = 1e-4
