@@ -103,13 +103,13 @@ def test_a_map_of_few_keyframes_is_left_alone(walk: Walk, monkeypatch: pytest.Mo
 
 def test_a_map_that_became_part_of_another_is_freed(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
     gone = []
-    take_in = TrackedMap.take_in
+    take_in = TrackedMap.absorb
 
     def watched(self: TrackedMap, other: TrackedMap, seen: object) -> None:
         gone.extend([weakref.ref(other), weakref.ref(other.map)])
         take_in(self, other, seen)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(TrackedMap, "take_in", watched)
+    monkeypatch.setattr(TrackedMap, "absorb", watched)
     system = System(walk.camera)
     for i, image in enumerate(walk.images):
         system.process(np.zeros_like(image) if i in BLACK else image, float(walk.sequence.timestamps_s[i]))
@@ -170,5 +170,5 @@ def test_where_the_camera_is_found_it_goes_on(monkeypatch: pytest.MonkeyPatch, f
 
 def test_what_was_in_a_map_is_in_what_that_map_became() -> None:
     maps = Atlas(CAMERA, np.random.default_rng(0))
-    maps.merged = [MergedMaps(90, 3, 50, 2, 4), MergedMaps(120, 8, 50, 0, 2), MergedMaps(150, 9, 50, 1, 3)]
-    assert [maps.final_index(index) for index in range(5)] == [0, 1, 0, 1, 0]
+    maps.merges = [MergedMaps(90, 3, 50, 2, 4), MergedMaps(120, 8, 50, 0, 2), MergedMaps(150, 9, 50, 1, 3)]
+    assert [maps.surviving_index(index) for index in range(5)] == [0, 1, 0, 1, 0]

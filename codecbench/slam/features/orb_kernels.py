@@ -1,4 +1,4 @@
-"""The inner loops of feature extraction."""
+"""Compiled kernels of feature extraction: corners, orientation, smoothing, descriptors, cell index."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ _CENTER = np.uint16(256 - 2 * sum(int(w) for w in _SIDE))
 
 @compiled
 def find_corners(level: Any, quota: int, scores: Any) -> Any:
-    """At most `quota` corners of a level: their pixels x, y (N, 2), and how far from the middles of these they are.
+    """Return at most `quota` corners of a level: pixels x, y (N, 2), and offsets from the pixels' centers (N, 2).
 
-    They are of the low threshold where the high one leaves too few to choose from. `scores` is an image of the level's
-    size that is overwritten.
+    If the high threshold leaves too few to choose from, the low one is used. `scores` is an image of the level's size
+    that is overwritten.
     """
     score_corners(level, scores)
     threshold = FAST_THRESHOLD
-    corners, found = list_corners(scores, threshold)
+    corners, corner_scores = list_corners(scores, threshold)
     if len(corners) < FAST_CANDIDATES_PER_FEATURE * quota:
         threshold = FAST_THRESHOLD_LOW
-        corners, found = list_corners(scores, threshold)
+        corners, corner_scores = list_corners(scores, threshold)
     height, width = level.shape
-    kept = select_evenly(corners, found, threshold, quota, height, width, BORDER_PX)
-    chosen, offsets = np.empty((len(kept), 2), np.int64), np.empty((len(kept), 2))
-    for i in range(len(kept)):
-        x, y = corners[kept[i], 0], corners[kept[i], 1]
-        chosen[i, 0], chosen[i, 1] = x, y
+    chosen = select_evenly(corners, corner_scores, threshold, quota, height, width, BORDER_PX)
+    pixels, offsets = np.empty((len(chosen), 2), np.int64), np.empty((len(chosen), 2))
+    for i in range(len(chosen)):
+        x, y = corners[chosen[i], 0], corners[chosen[i], 1]
+        pixels[i, 0], pixels[i, 1] = x, y
         refine_corner(scores, x, y, offsets[i])
-    return chosen, offsets
+    return pixels, offsets
 
 
 @compiled
@@ -57,9 +57,9 @@ def describe_corners(
 ) -> None:
     """Fill `pixels` (N, 2) in the image, `angles` (N,) and `descriptors` (N, 32) of the corners (N, 2) of a level.
 
-    `offsets` (N, 2): how far from the middles of their pixels they are; angles and descriptors are of these middles.
+    `offsets` (N, 2) are the corners' distances from their pixels' centers; angles and descriptors are of these centers.
     `ratio` (2,) is the image's size over the level's; `blurred` is an image of the level's size that is overwritten.
-    The pyramid maps pixel areas, not pixel centres: a centre moves by half a pixel of each level.
+    The pyramid maps pixel areas, not pixel centers: a center moves by half a pixel of each level.
     """
     if len(corners) == 0:
         return  # the level may be smaller than the smoothing is wide
@@ -73,11 +73,11 @@ def describe_corners(
 
 @compiled
 def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height: int, width: int, border: int) -> Any:
-    """Indices of at most `quota` corners (N, 2) with `scores` (N,) uint8, spread over the level, in reading order.
+    """Return the indices of at most `quota` corners (N, 2), spread over the level, in reading order.
 
-    Only corners that score above `threshold` are taken. The level is divided into about `quota` square cells. Corners
-    are taken by their rank within their cell, the strongest of every cell first; the rank that does not fit whole is
-    taken by score. Ties go to reading order.
+    Only corners whose `scores` (N,), uint8, exceed `threshold` are taken. The level is divided into about `quota`
+    square cells. Corners are taken by their rank within their cell, the strongest of every cell first. The rank that
+    does not fit whole is taken by score. Ties go to reading order.
     """
     inner_width, inner_height = width - 2 * border, height - 2 * border
     if inner_width < 1 or inner_height < 1 or quota < 1:
@@ -107,20 +107,19 @@ def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height:
     by_rank, taken = stable_order(ranks, most + 1), np.zeros(count, np.bool_)
     for i in range(quota):
         taken[order[by_rank[i]]] = True
-    kept, selected = np.empty(quota, np.int64), 0
+    selection, selected = np.empty(quota, np.int64), 0
     for i in range(count):
         if taken[i]:
-            kept[selected] = inside[i]
+            selection[selected] = inside[i]
             selected += 1
-    return kept
+    return selection
 
 
 @compiled
 def orient_patches(level: Any, corners: Any, angles: Any) -> None:
-    """Fill `angles` (N,), radians in -pi..pi, with the directions from corners to their discs' intensity centroids
-    (ORB, equation 3).
+    """Fill `angles` (N,), radians in -pi..pi, with the directions from corners to their intensity centroids.
 
-    Rows of the disc go in pairs, above and below the corner; 16 bits hold the sums over rows.
+    Source: ORB, equation 3. Rows of the disc go in pairs, above and below the corner; 16 bits hold the sums over rows.
     """
     sums, moments = np.empty(_COLUMNS, np.int16), np.empty(_COLUMNS, np.int16)
     for i in range(len(corners)):
@@ -145,8 +144,7 @@ def orient_patches(level: Any, corners: Any, angles: Any) -> None:
 
 @compiled
 def blur_level(level: Any, blurred: Any) -> None:
-    """Fill `blurred` with the level (height, width) uint8 smoothed by a Gaussian of seven pixels both ways, mirrored at
-    the border.
+    """Fill `blurred` with the level (height, width), uint8, smoothed by a 7 x 7 Gaussian, mirrored at the border.
 
     Both passes round to 8 bits: their sums fit into 16, and vectors hold twice as many of them.
     """
@@ -180,8 +178,10 @@ def _weigh(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, out: Any, sta
 
 @compiled
 def describe_patches(blurred: Any, corners: Any, angles: Any, descriptors: Any) -> None:
-    """Fill `descriptors` (N, 32) uint8: bit i is set where the first pixel of turned pair i is the darker (ORB section
-    4)."""
+    """Fill `descriptors` (N, 32), uint8, with the binary tests of rotated pixel pairs (ORB section 4).
+
+    Bit i is set if the first pixel of pair i is the darker.
+    """
     stride = np.int32(blurred.shape[1])
     flat = blurred.reshape(-1)
     offsets = np.empty(512, np.int32)
@@ -204,7 +204,7 @@ def describe_patches(blurred: Any, corners: Any, angles: Any, descriptors: Any) 
 
 @compiled
 def index_cells(pixels: Any, grid: Any, cell_px: float) -> Any:
-    """Starts (cells + 1,) and members (N,) of the cells of `grid`; features outside go to the nearest cell."""
+    """Return starts (cells + 1,) and members (N,) of the cells of `grid`; features outside join the nearest cell."""
     columns, rows = int(grid[2]), int(grid[3])
     starts = np.zeros(columns * rows + 1, np.int64)
     cells = np.empty(len(pixels), np.int64)

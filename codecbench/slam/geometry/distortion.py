@@ -29,7 +29,7 @@ _FISHEYE_TOLERANCE_RAD = 1e-10
 
 @compiled
 def _distort_normalized(x: float, y: float, k: Any) -> Any:
-    """Distorted normalised coordinates, and the Jacobian of x_d, y_d by x, y."""
+    """Return distorted normalized coordinates, and the Jacobian of x_d, y_d by x, y."""
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + 3.0 * r2 * k[4]))  # d radial / d(r2 / 2): times x or y
@@ -43,6 +43,7 @@ def _distort_normalized(x: float, y: float, k: Any) -> Any:
 
 @compiled
 def distort_brown(pixels: Any, intrinsics: Any, k: Any) -> Any:
+    """Return where undistorted `pixels` (N, 2) lie in the image as taken; `k` (5,): k1, k2, p1, p2, k3."""
     fx, fy, cx, cy = intrinsics
     distorted = np.empty_like(pixels)
     for i in range(len(pixels)):
@@ -54,7 +55,10 @@ def distort_brown(pixels: Any, intrinsics: Any, k: Any) -> Any:
 
 @compiled
 def undistort_brown(pixels: Any, intrinsics: Any, k: Any) -> Any:
-    """Newton's method on the distortion; 20 steps are ample, most pixels need four."""
+    """Return where `pixels` (N, 2) would lie without distortion; `k` (5,): k1, k2, p1, p2, k3.
+
+    Newton's method on the distortion; 20 steps are ample, most pixels need four.
+    """
     fx, fy, cx, cy = intrinsics
     undistorted = np.empty_like(pixels)
     for i in range(len(pixels)):
@@ -78,9 +82,9 @@ def undistort_brown(pixels: Any, intrinsics: Any, k: Any) -> Any:
 
 
 def undistort_rational(pixels: Floats, intrinsics: Floats, k: Floats) -> Floats:
-    """Where `pixels` (N, 2) would lie without distortion; `k` (8,): k1, k2, p1, p2, k3, k4, k5, k6.
+    """Return where `pixels` (N, 2) would lie without distortion; `k` (8,): k1, k2, p1, p2, k3, k4, k5, k6.
 
-    NaN for those that no ray is found for. Newton's method from where the ray would be without distortion.
+    NaN if no ray falls on a pixel. Newton's method from where the ray would be without distortion.
     """
     target = ((pixels - intrinsics[2:]) / intrinsics[:2]).T
     x, y = target
@@ -91,14 +95,14 @@ def undistort_rational(pixels: Floats, intrinsics: Floats, k: Floats) -> Floats:
             determinant = xx * yy - xy * xy
             x, y = x - (yy * off_x - xy * off_y) / determinant, y - (xx * off_y - xy * off_x) / determinant
         (reached_x, reached_y), (xx, xy, yy) = _distort_rational_normalized(x, y, k)
-        found = np.hypot(reached_x - target[0], reached_y - target[1]) < _RATIONAL_TOLERANCE
-        found &= (xx > 0.0) & (xx * yy > xy * xy)  # not beyond a fold
-    straight = np.where(found[:, None], np.stack([x, y], axis=1), np.nan)
-    return np.asarray(straight * intrinsics[:2] + intrinsics[2:])
+        converged = np.hypot(reached_x - target[0], reached_y - target[1]) < _RATIONAL_TOLERANCE
+        converged &= (xx > 0.0) & (xx * yy > xy * xy)  # not beyond a fold
+    undistorted = np.where(converged[:, None], np.stack([x, y], axis=1), np.nan)
+    return np.asarray(undistorted * intrinsics[:2] + intrinsics[2:])
 
 
 def distort_rational(pixels: Floats, intrinsics: Floats, k: Floats) -> Floats:
-    """Where undistorted `pixels` (N, 2) lie in the image as taken (N, 2)."""
+    """Return where undistorted `pixels` (N, 2) lie in the image as taken (N, 2)."""
     x, y = ((pixels - intrinsics[2:]) / intrinsics[:2]).T
     (taken_x, taken_y), _ = _distort_rational_normalized(x, y, k)
     return np.asarray(np.stack([taken_x, taken_y], axis=1) * intrinsics[:2] + intrinsics[2:])
@@ -107,7 +111,7 @@ def distort_rational(pixels: Floats, intrinsics: Floats, k: Floats) -> Floats:
 def _distort_rational_normalized(
     x: Floats, y: Floats, k: Floats
 ) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats, Floats]]:
-    """Distorted coordinates in focal lengths, and their symmetric Jacobian: xx, xy, yy."""
+    """Return distorted coordinates in focal lengths, and their symmetric Jacobian: xx, xy, yy."""
     k1, k2, p1, p2, k3, k4, k5, k6 = k
     r2 = x * x + y * y
     above, below = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
@@ -126,9 +130,9 @@ def _distort_rational_normalized(
 
 
 def undistort_fisheye(pixels: Floats, intrinsics: Floats, k: Floats, widest_rad: float) -> Floats:
-    """Where `pixels` (N, 2) would lie in a pinhole image of the same `intrinsics` (4,); `k` (4,).
+    """Return where `pixels` (N, 2) would lie in a pinhole image of the same `intrinsics` (4,); `k` (4,).
 
-    NaN for those that no ray within `widest_rad` of the axis falls on. Newton's method on the angle.
+    NaN if no ray within `widest_rad` of the axis falls on a pixel. Newton's method on the angle.
     """
     scaled = (pixels - intrinsics[2:]) / intrinsics[:2]
     radius = np.hypot(scaled[:, 0], scaled[:, 1])
@@ -137,14 +141,14 @@ def undistort_fisheye(pixels: Floats, intrinsics: Floats, k: Floats, widest_rad:
         reached, slope = _radius_and_slope(theta, k)
         theta = np.clip(theta - (reached - radius) / np.where(slope > 0.0, slope, 1.0), 0.0, widest_rad)
     reached, slope = _radius_and_slope(theta, k)
-    seen = (np.abs(reached - radius) < _FISHEYE_TOLERANCE_RAD) & (slope > 0.0)
+    converged = (np.abs(reached - radius) < _FISHEYE_TOLERANCE_RAD) & (slope > 0.0)
     ratio = np.where(radius > 0.0, np.tan(theta) / np.where(radius > 0.0, radius, 1.0), 1.0)
-    ratio = np.where(seen, ratio, np.nan)
+    ratio = np.where(converged, ratio, np.nan)
     return np.asarray(scaled * ratio[:, None] * intrinsics[:2] + intrinsics[2:])
 
 
 def distort_fisheye(pixels: Floats, intrinsics: Floats, k: Floats) -> Floats:
-    """Where pinhole `pixels` (N, 2) lie in the image as taken (N, 2)."""
+    """Return where pinhole `pixels` (N, 2) lie in the image as taken (N, 2)."""
     scaled = (pixels - intrinsics[2:]) / intrinsics[:2]
     tangent = np.hypot(scaled[:, 0], scaled[:, 1])
     reached, _ = _radius_and_slope(np.arctan(tangent), k)
@@ -153,7 +157,7 @@ def distort_fisheye(pixels: Floats, intrinsics: Floats, k: Floats) -> Floats:
 
 
 def _radius_and_slope(theta: Floats, k: Floats) -> tuple[Floats, Floats]:
-    """The radius in focal lengths, and its derivative by the angle."""
+    """Return the radius in focal lengths, and its derivative by the angle."""
     t = theta * theta
     radius = theta * (1.0 + t * (k[0] + t * (k[1] + t * (k[2] + t * k[3]))))
     slope = 1.0 + t * (3.0 * k[0] + t * (5.0 * k[1] + t * (7.0 * k[2] + t * 9.0 * k[3])))

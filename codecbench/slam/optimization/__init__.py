@@ -1,1 +1,1 @@
-"""Least squares: a pose, a bundle of poses and points, a graph of similarities."""
+"""Least squares: frame pose, bundle adjustment, pose graph of similarities."""

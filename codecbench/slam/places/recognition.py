@@ -1,4 +1,4 @@
-"""Which keyframes of a map look alike: words, bags of words and the index over them."""
+"""Place recognition: an inverted index from visual words to keyframes, and candidates for loops and relocalization."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class KeyframeDatabase:
     def __init__(self, word_count: int) -> None:
         """Make an empty index for a vocabulary of `word_count` words."""
         self._heads = np.full(word_count, _NONE, dtype=np.int64)
-        self._next = np.empty(0, dtype=np.int64)  # of each posting, the next one of its word
+        self._next = np.empty(0, dtype=np.int64)  # the next posting of the same word
         self._keyframes = np.empty(0, dtype=np.int64)
         self._values = np.empty(0)
-        self._free = np.array([_NONE], dtype=np.int64)  # first posting not in use; they are chained through _next
+        self._free = np.array([_NONE], dtype=np.int64)  # first unused posting; they are chained through _next
         self._bows: dict[int, BowVector] = {}
 
     def __len__(self) -> int:
@@ -39,7 +39,7 @@ class KeyframeDatabase:
         return keyframe in self._bows
 
     def add(self, keyframe: int, bow: BowVector) -> None:
-        """Index a keyframe, a number of at least 0, under its words; raises ValueError if it is there already."""
+        """Index a keyframe, a number of at least 0, under its words; raises ValueError if it is indexed already."""
         if keyframe in self._bows or keyframe < 0:
             raise ValueError(f"KeyframeDatabase.add: keyframe {keyframe} is negative or indexed already")
         self._check(bow)
@@ -49,7 +49,7 @@ class KeyframeDatabase:
         self._bows[keyframe] = bow
 
     def erase(self, keyframe: int) -> None:
-        """Forget a keyframe; raises KeyError if it is not indexed."""
+        """Remove a keyframe; raises KeyError if it is not indexed."""
         bow = self._bows.pop(keyframe)
         _remove(bow.words, keyframe, self._heads, self._next, self._keyframes, self._free)
 
@@ -58,7 +58,7 @@ class KeyframeDatabase:
         return self._bows[keyframe]
 
     def query(self, bow: BowVector) -> tuple[Indices, Array, Indices]:
-        """Return the keyframes (n,) that share a word with an image, ascending, their scores and words shared (n,)."""
+        """Return keyframes (n,) that share a word with an image, ascending, their scores and shared words (n,)."""
         self._check(bow)
         size = max(self._bows, default=-1) + 1
         scores, shared = np.zeros(size), np.zeros(size, dtype=np.int64)
@@ -69,39 +69,41 @@ class KeyframeDatabase:
     def loop_candidates(
         self,
         bow: BowVector,
-        neighbours: Callable[[int], Sequence[int]],
+        neighbors: Callable[[int], Sequence[int]],
         excluded: Collection[int],
         min_score: float,
     ) -> list[int]:
         """Return keyframes that may show the same place, best group first.
 
-        `neighbours` gives the covisible keyframes of one, best first; `excluded` are those that the current keyframe
-        sees anyway (itself and its neighbours); `min_score` is the lowest score between it and them. A candidate must
-        reach `min_score`; scores are added up over groups of covisible keyframes, and each group that comes near the
+        `neighbors` returns the covisible keyframes of one, best first; `excluded` are those that the current keyframe
+        sees anyway (itself and its neighbors); `min_score` is the lowest score between it and them. A candidate must
+        reach `min_score`. Scores are added up over groups of covisible keyframes, and each group that comes near the
         best one gives its best keyframe.
         """
-        return [keyframe for keyframe, _ in self._candidates(bow, neighbours, excluded, min_score)]
+        return [keyframe for keyframe, _ in self._candidates(bow, neighbors, excluded, min_score)]
 
     def relocalization_candidates(
-        self, bow: BowVector, neighbours: Callable[[int], Sequence[int]]
+        self, bow: BowVector, neighbors: Callable[[int], Sequence[int]]
     ) -> list[tuple[int, float]]:
-        """Return keyframes from which a lost frame may be found again, and the scores of their groups, best first; see
-        `loop_candidates`."""
-        return self._candidates(bow, neighbours, (), 0.0)
+        """Return keyframes that may relocalize a lost frame, and the scores of their groups, best first.
+
+        See `loop_candidates`.
+        """
+        return self._candidates(bow, neighbors, (), 0.0)
 
     def _candidates(
-        self, bow: BowVector, neighbours: Callable[[int], Sequence[int]], excluded: Collection[int], min_score: float
+        self, bow: BowVector, neighbors: Callable[[int], Sequence[int]], excluded: Collection[int], min_score: float
     ) -> list[tuple[int, float]]:
         keyframes, scores, shared = self.query(bow)
         allowed = ~np.isin(keyframes, np.fromiter(excluded, dtype=np.int64, count=len(excluded)))
         keyframes, scores, shared = keyframes[allowed], scores[allowed], shared[allowed]
         if not len(keyframes):
             return []
-        kept = (shared > thresholds.SHARED_WORDS_SHARE * shared.max()) & (scores >= min_score)
-        score_of = dict(zip(keyframes[kept].tolist(), scores[kept].tolist(), strict=True))
+        similar = (shared > thresholds.SHARED_WORDS_SHARE * shared.max()) & (scores >= min_score)
+        score_of = dict(zip(keyframes[similar].tolist(), scores[similar].tolist(), strict=True))
         groups = []
         for keyframe, score in score_of.items():
-            group = [keyframe, *(k for k in list(neighbours(keyframe))[: thresholds.GROUP_NEIGHBORS] if k in score_of)]
+            group = [keyframe, *(k for k in list(neighbors(keyframe))[: thresholds.GROUP_NEIGHBORS] if k in score_of)]
             total = sum(score_of[k] for k in group)
             groups.append((total, max(group, key=lambda k: (score_of[k], -k)), score))
         limit = thresholds.GROUP_SCORE_SHARE * max((group[0] for group in groups), default=0.0)
@@ -123,7 +125,7 @@ class KeyframeDatabase:
         return bool(_insert(bow.words, bow.values, keyframe, *arrays))
 
     def _grow(self, needed: int) -> None:
-        """Chain new postings before the free ones, at least `needed` of them."""
+        """Chain at least `needed` new postings before the free ones."""
         old = len(self._next)
         size = old + max(needed, old, 1024)
         self._next = np.append(self._next, np.arange(old + 1, size + 1))
@@ -135,7 +137,7 @@ class KeyframeDatabase:
 
 @compiled
 def _insert(words, values, keyframe, heads, following, keyframes, posting_values, free):  # type: ignore[no-untyped-def]
-    """Link one posting a word; return False, with nothing changed, when there are too few free ones."""
+    """Link one posting a word; return False, with nothing changed, if there are too few free ones."""
     available, posting = 0, free[0]
     while posting >= 0 and available < words.shape[0]:
         posting = following[posting]
@@ -193,26 +195,26 @@ class PlaceRecognition:
         self._database.add(keyframe, self._vocabulary.bow(words.words))
 
     def remove(self, keyframe: int) -> None:
-        """Forget a keyframe."""
+        """Remove a keyframe from the index."""
         self._database.erase(keyframe)
         del self._nodes[keyframe]
 
     def append(self, other: PlaceRecognition, numbers: Indices) -> None:
-        """Index the keyframes of another map too; `numbers` (K,) says what they are called here."""
+        """Index the keyframes of another map too; `numbers` (K,) are their indices here."""
         for keyframe, nodes in other._nodes.items():
             number = int(numbers[keyframe])
             self._nodes[number] = nodes
             self._database.add(number, other._database.bow(keyframe))
 
     def nodes(self, keyframe: int) -> Indices:
-        """Vocabulary nodes (N,) of the keyframe's features: only features under one node can match."""
+        """Return the vocabulary nodes (N,) of a keyframe's features: only features under one node can match."""
         return self._nodes[keyframe]
 
     def loop_candidates(self, keyframe: int, there: PlaceRecognition) -> list[int]:
-        """Keyframes of the map `there`, which may be this one, that look like `keyframe` of this map though they share
-        no points with it, best first.
+        """Return keyframes of the map `there` that look like `keyframe` of this map, best first.
 
-        A candidate must score no less than the least similar neighbour of `keyframe` (ORB-SLAM VII-A).
+        `there` may be this map; candidates then share no points with `keyframe`. A candidate must score no less than
+        the least similar neighbor of `keyframe` (ORB-SLAM VII-A).
         """
         bag = self._database.bow(keyframe)
         keyframes, scores, _ = self._database.query(bag)
@@ -226,13 +228,15 @@ class PlaceRecognition:
 
 
 def relocalization_candidates(features: Features, places: Sequence[PlaceRecognition]) -> list[tuple[int, int]]:
-    """Which keyframes of several maps look like a frame, best first: index into `places` and keyframe of each; of
-    equals that of the map listed first."""
+    """Return the keyframes of several maps that look like a frame, best first: index into `places` and keyframe.
+
+    Of equals, that of the map listed first comes first.
+    """
     vocabulary = Vocabulary.load_default()
     bag = vocabulary.bow(vocabulary.words(features.descriptors).words)
-    found = [
-        (score, which, keyframe)
-        for which, there in enumerate(places)
+    candidates = [
+        (score, place, keyframe)
+        for place, there in enumerate(places)
         for keyframe, score in there._database.relocalization_candidates(bag, there._neighbors)
     ]
-    return [(which, keyframe) for _, which, keyframe in sorted(found, key=lambda candidate: -candidate[0])]
+    return [(place, keyframe) for _, place, keyframe in sorted(candidates, key=lambda candidate: -candidate[0])]

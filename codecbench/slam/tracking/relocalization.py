@@ -1,4 +1,4 @@
-"""Finding a lost camera in the map (ORB-SLAM V-C)."""
+"""Relocalization: finding a lost camera in its map (ORB-SLAM V-C), and frames in a finished map."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ from codecbench.slam.tracking.tracker import Tracker, match_projections
 
 
 def relocalize(frame: TrackingFrame, tracker: Tracker, keyframe: int) -> int:
-    """Find the pose of `frame` from a keyframe that looks like it; returns the inliers, 0 when that is not where it is.
+    """Find the pose of `frame` from a similar keyframe; returns the inliers, 0 if the frame stays lost.
 
-    The two are matched by appearance; a pose by P3P and RANSAC is optimised, widened by projecting the keyframe's
-    points, and accepted with RELOCALIZED_MIN_INLIERS inliers in the local map. A frame that is not found shows
-    no points.
+    The two are matched by appearance. A pose by P3P and RANSAC is optimized, widened by projecting the keyframe's
+    points, and accepted with RELOCALIZED_MIN_INLIERS inliers in the local map. A frame that stays lost shows no points.
     """
     inliers = _search(frame, tracker, keyframe)
     if inliers < thresholds.RELOCALIZED_MIN_INLIERS:
@@ -49,14 +48,19 @@ def _search(frame: TrackingFrame, tracker: Tracker, keyframe: int) -> int:
 
 @dataclass(frozen=True)
 class Location:
-    """Where a frame is: `camera_from_world` (4, 4) in the map's unit, on `inliers` of its points."""
+    """Pose of a frame in a map."""
 
     camera_from_world: Array
+    """Pose (4, 4) in the map's unit."""
     inliers: int
+    """Map points that support it."""
 
 
 class Localizer:
-    """Locates frames in a map. The answer for a frame depends on the map and the frame, not on other frames."""
+    """Locates frames in a finished map, which stays unchanged.
+
+    The answer for a frame depends on the map and the frame, not on other frames.
+    """
 
     def __init__(self, slam_map: Map, camera: Camera, options: Options) -> None:
         self.map = slam_map
@@ -69,19 +73,19 @@ class Localizer:
             self._places.add(int(keyframe), slam_map.keyframes.features[keyframe])
 
     def extract(self, image: ImageArray) -> Features:
-        """The features of an image, gray (height, width) or RGB (height, width, 3), uint8."""
+        """Return the features of an image, gray (height, width) or RGB (height, width, 3), uint8."""
         return self._extractor.extract(to_gray(image))
 
-    def features_of(self, found: Keypoints) -> Features:
-        """The features of an image of which only the keypoints are here, of a pyramid as the map's."""
-        return self._extractor.features_of(found)
+    def features_of(self, keypoints: Keypoints) -> Features:
+        """Return the features for an image's keypoints, from a pyramid like the map's."""
+        return self._extractor.features_of(keypoints)
 
     def locate_near(self, features: Features, camera_from_world: Array) -> Location | None:
-        """The pose of a frame from a predicted one, as a tracked frame finds it; None where it is lost.
+        """Return the pose of a frame near a predicted one, as tracking would find it; None if it is lost.
 
-        The points of the keyframe with the most similar view are sought round the prediction, in the windows of
-        tracking; then those of the local map (ORB-SLAM V-B, V-D). The keyframe stands for the previous frame, which
-        tracking would take the points from.
+        The points of the keyframe with the most similar view are searched around the prediction, in the windows of
+        tracking, then those of the local map (ORB-SLAM V-B, V-D). The keyframe stands for the previous frame, from
+        which tracking would take the points.
         """
         frame = TrackingFrame.of(0, 0.0, features)
         points = self.map.keyframes.points[self._nearest_keyframe(camera_from_world)]
@@ -103,7 +107,7 @@ class Localizer:
         return Location(frame.camera_from_world, inliers) if inliers >= thresholds.LOCAL_MIN_INLIERS else None
 
     def locate(self, features: Features) -> Location | None:
-        """The pose of a frame of which nothing is known, from keyframes that look like it; None where none does."""
+        """Return the pose of a frame without a prediction, from similar keyframes; None if none of them fits."""
         frame = TrackingFrame.of(0, 0.0, features)
         ranked = relocalization_candidates(features, [self._places])
         for _, keyframe in ranked[: thresholds.RELOCALIZATION_CANDIDATES]:
@@ -112,7 +116,7 @@ class Localizer:
         return None
 
     def scene_depth(self) -> float:
-        """Median depth of the points that the keyframes see, in the map's unit."""
+        """Return the median depth of the points that the keyframes see, in the map's unit."""
         depths = []
         for keyframe in self._keyframes:
             points = self.map.keyframes.points[keyframe]
@@ -121,7 +125,7 @@ class Localizer:
         return float(np.median(np.concatenate(depths)))
 
     def _nearest_keyframe(self, camera_from_world: Array) -> int:
-        """The keyframe nearest to a pose among those that look the same way, or among all where none does."""
+        """Return the keyframe nearest to a pose among those that look the same way, or among all if none does."""
         poses = self.map.keyframes.camera_from_world[self._keyframes]
         alike = poses[:, 2, :3] @ camera_from_world[2, :3] >= thresholds.VIEWING_COSINE
         center = -camera_from_world[:3, :3].T @ camera_from_world[:3, 3]

@@ -1,4 +1,4 @@
-"""Map points searched in a frame, and its pose from them: what a frame needs of compiled code, a call each."""
+"""Compiled steps of tracking: search map points in a frame, and optimize its pose from them."""
 
 from __future__ import annotations
 
@@ -17,40 +17,49 @@ from codecbench.slam.optimization.pose_optimization import optimize_in_place
 
 
 class PointColumns(NamedTuple):
-    """The columns of the table of points that a search reads; `visible` it counts up."""
+    """Columns of the point table that a search reads."""
 
     positions: Any
     normals: Any
     min_distances: Any
     max_distances: Any
     descriptors: Any
-    visible: Any
+    visible_counts: Any
+    """A search counts up these."""
 
 
 class Lens(NamedTuple):
-    """How a frame sees: `intrinsics` (4,), `bounds` (4,) of the image, `scale_factors` of its levels."""
+    """How a frame sees."""
 
     intrinsics: Any
+    """fx, fy, cx, cy (4,)."""
     bounds: Any
+    """Of the undistorted image (4,)."""
     scale_factors: Any
+    """Of the pyramid levels (L,)."""
 
 
 def columns_of(table: PointTable) -> PointColumns:
-    """The columns of a table as they are now; they are others once it has grown."""
+    """Return the current columns of a table; call again after the table has grown."""
     return PointColumns(
-        table.positions, table.normals, table.min_distances, table.max_distances, table.descriptors, table.visible
+        table.positions,
+        table.normals,
+        table.min_distances,
+        table.max_distances,
+        table.descriptors,
+        table.visible_counts,
     )
 
 
 @compiled
-def search_last(
+def search_last_frame(
     last_points: Any, last_octaves: Any, last_angles: Any, window_px: float,
     table: PointColumns, lens: Lens, camera_from_world: Any, view: View, angles: Any, shown: Any,
 ) -> int:  # fmt: skip
-    """Search the points of the last frame (N,) by feature, -1 for none, in windows round where they should appear.
+    """Search the points of the last frame (N,) by feature, -1 for none, in windows around their predictions.
 
     `last_octaves`, `last_angles` (N,) are those of its features; `angles` (F,) those of this frame, whose points
-    `shown` (F,) are filled in. Returns how many were found.
+    `shown` (F,) are filled in. Returns the number of matches.
     """
     seen = np.nonzero(last_points >= 0)[0]
     ahead, pixels = project_ahead(last_points[seen], table.positions, camera_from_world, lens.intrinsics)
@@ -65,7 +74,7 @@ def search_last(
     free = np.ones(len(shown), np.bool_)
     matches = search_windows(queries, view, free, thresholds.HAMMING_HIGH, thresholds.TRACK_RATIO)
     keep_consistent_rotations(matches, turns, angles)
-    return _show(matches, points, shown)
+    return _assign_points(matches, points, shown)
 
 
 @compiled
@@ -73,8 +82,10 @@ def search_projections(
     points: Any, pixels: Any, octaves: Any, cosines: Any, widen: float,
     descriptors: Any, scale_factors: Any, view: View, shown: Any,
 ) -> int:  # fmt: skip
-    """Search projected points among the features that show none yet; see Projections. Fills in the points `shown` (F,);
-    returns how many were found."""
+    """Search projected points among the features that show none yet; see Projections.
+
+    Fills in the points `shown` (F,); returns the number of matches.
+    """
     radii, low = np.empty(len(points)), octaves - 1
     for i in range(len(points)):
         frontal = cosines[i] > thresholds.FRONTAL_COSINE
@@ -82,28 +93,30 @@ def search_projections(
         radii[i] = radius * widen * scale_factors[octaves[i]]
     queries = Queries(pixels, radii, low, octaves, points, descriptors)
     matches = search_windows(queries, view, shown < 0, thresholds.HAMMING_HIGH, thresholds.LOCAL_RATIO)
-    return _show(matches, points, shown)
+    return _assign_points(matches, points, shown)
 
 
 @compiled
-def search_local(
+def search_local_map(
     local: Any, table: PointColumns, point_count: int, lens: Lens, camera_from_world: Any, view: View, shown: Any
 ) -> int:
-    """Search the local points (N,) that a frame does not show yet; fills in `shown` (F,), and counts as visible what it
-    shows and what it should. Returns how many were found."""
+    """Search the local points (N,) that a frame does not show yet; fills in `shown` (F,).
+
+    Counts as visible what the frame shows and what it should show. Returns the number of matches.
+    """
     unseen = np.ones(point_count, np.bool_)
     for point in shown:
         if point >= 0 and unseen[point]:
             unseen[point] = False
-            table.visible[point] += 1
+            table.visible_counts[point] += 1
     points = local[unseen[local]]
-    kept, pixels, octaves, cosines = project_points(
+    visible, pixels, octaves, cosines = project_points(
         points, table.positions, table.normals, table.min_distances, table.max_distances,
         camera_from_world, lens.intrinsics, lens.bounds, lens.scale_factors, thresholds.VIEWING_COSINE,
     )  # fmt: skip
-    points = points[kept]
+    points = points[visible]
     for point in points:
-        table.visible[point] += 1
+        table.visible_counts[point] += 1
     return int(
         search_projections(
             points, pixels, octaves, cosines, 1.0, table.descriptors, lens.scale_factors, view, shown
@@ -112,7 +125,7 @@ def search_local(
 
 
 @compiled
-def optimize_shown(
+def optimize_matched_pose(
     camera_from_world: Any, shown: Any, positions: Any, pixels: Any, octaves: Any, inverse_sigma2: Any, intrinsics: Any
 ) -> int:
     """Move `camera_from_world` (4, 4) to fit the points `shown` (F,) by a frame's features; outliers leave `shown`.
@@ -143,7 +156,8 @@ def optimize_shown(
 
 
 @compiled
-def _show(matches: Any, points: Any, shown: Any) -> int:
+def _assign_points(matches: Any, points: Any, shown: Any) -> int:
+    """Write the matched points to `shown`; returns the number of matches."""
     count = 0
     for q in range(len(matches)):
         if matches[q] >= 0:
