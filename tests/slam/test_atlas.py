@@ -150,7 +150,7 @@ def test_a_lost_camera_is_looked_for_in_all_maps_within_bounds(
 ) -> None:
     tried: list[tuple[int, int]] = []
     maps = many_maps(monkeypatch, tried)
-    assert maps.find(frame) == 0
+    assert maps.relocalize(frame) == 0
     assert len(tried) == thresholds.RELOCALIZATION_CANDIDATES
     assert [number for number, _ in tried[:5]] == [1, 0, 2, 3, 4]  # the active map first
     assert maps.active is maps.maps[1]
@@ -161,10 +161,10 @@ def test_where_the_camera_is_found_it_goes_on(monkeypatch: pytest.MonkeyPatch, f
     maps = many_maps(monkeypatch, tried, inliers=70)
     monkeypatch.setattr(thresholds, "RELOCALIZATION_CANDIDATES", 20)
     maps.active = maps.maps[3]
-    assert maps.find(frame) == 70
+    assert maps.relocalize(frame) == 70
     assert tried[-1] == (3, 2)
     maps.active = None
-    assert maps.find(frame) == 70
+    assert maps.relocalize(frame) == 70
     assert maps.active is maps.maps[0]
 
 

@@ -104,12 +104,12 @@ def select_evenly(corners: Any, scores: Any, threshold: int, quota: int, height:
         ranks[i] = filled[cell]
         most = max(most, ranks[i])
         filled[cell] += 1
-    by_rank, taken = stable_order(ranks, most + 1), np.zeros(count, np.bool_)
+    by_rank, is_selected = stable_order(ranks, most + 1), np.zeros(count, np.bool_)
     for i in range(quota):
-        taken[order[by_rank[i]]] = True
+        is_selected[order[by_rank[i]]] = True
     selection, selected = np.empty(quota, np.int64), 0
     for i in range(count):
-        if taken[i]:
+        if is_selected[i]:
             selection[selected] = inside[i]
             selected += 1
     return selection

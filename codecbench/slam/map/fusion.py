@@ -58,15 +58,15 @@ def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_f
     loop is closed.
     """
     table, features = slam_map.points, slam_map.keyframes.features[keyframe]
-    shown = slam_map.keyframes.points[keyframe, : len(features)]
+    seen_points = slam_map.keyframes.points[keyframe, : len(features)]
     view = _View(
         camera_from_world, camera.intrinsics, camera.bounds, slam_map.scale_factors, slam_map.pixel_variances,
-        shown, features.pixels, features.octaves, features.descriptors, features.cell_starts, features.cell_members,
-        features.grid,
+        seen_points, features.pixels, features.octaves, features.descriptors, features.cell_starts,
+        features.cell_members, features.grid,
     )  # fmt: skip
     columns = table.positions, table.normals, table.min_distances, table.max_distances, table.descriptors, table.alive
     candidates, matches = _find_duplicates(points, _Points(*columns), view)
-    others = shown[matches]
+    others = seen_points[matches]
     free = others < 0
     if free.any():
         slam_map.observe(keyframe, matches[free], candidates[free])
@@ -119,10 +119,10 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
 
 
 @compiled
-def _unobserved_points(points: Any, alive: Any, shown: Any) -> Any:
+def _unobserved_points(points: Any, alive: Any, seen_points: Any) -> Any:
     """Return those of `points` (P,) that are alive and not seen in a view, (N,)."""
     seen = np.zeros(len(alive), np.bool_)
-    for point in shown:
+    for point in seen_points:
         if point >= 0:
             seen[point] = True
     unobserved, count = np.empty(len(points), np.int64), 0

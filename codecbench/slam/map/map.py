@@ -8,8 +8,7 @@ import numpy as np
 
 from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import sim3_scale
-from codecbench.slam.map import kernels as map_kernels
-from codecbench.slam.map import point_kernels
+from codecbench.slam.map import observation_kernels, point_kernels
 from codecbench.slam.map.tables import NONE, Indices, KeyframeTable, PointTable, ensure_rows
 from codecbench.slam.thresholds import COVISIBLE_MIN_POINTS, POINT_VARIANCES
 
@@ -61,34 +60,36 @@ class Map:
         first = self._link_count
         self._link_count += len(points)
         self._links = ensure_rows(self._links, self._link_count, NONE)
-        map_kernels.add_links(
+        observation_kernels.add_links(
             points, keyframes, features, first, self.points.heads, self.points.observation_counts, self._links
         )
         self.keyframes.points[keyframes, features] = points
 
     @property
-    def _observation_links(self) -> map_kernels.Links:
+    def _observation_links(self) -> observation_kernels.Links:
         table = self.points
-        return map_kernels.Links(table.heads, table.observation_counts, self._links, self.keyframes.points, table.alive)
+        return observation_kernels.Links(
+            table.heads, table.observation_counts, self._links, self.keyframes.points, table.alive
+        )
 
     def unobserve(self, keyframes: Indices, features: Indices) -> None:
         """Remove what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
         self._covisible.clear()
-        map_kernels.remove_observations(keyframes, features, self._observation_links)
+        observation_kernels.remove_observations(keyframes, features, self._observation_links)
 
     def observations(self, points: Indices, among: Indices | None = None) -> tuple[Indices, Indices, Indices]:
         """Return index into `points`, keyframe and feature, (M,) each, of observations by keyframes `among`, or all."""
-        wanted = np.full(self.keyframes.count, among is None)
-        wanted[among if among is not None else []] = True
-        which, keyframes, features = map_kernels.list_observations(
-            points, wanted, self.points.observation_counts, self.points.heads, self._links
+        included = np.full(self.keyframes.count, among is None)
+        included[among if among is not None else []] = True
+        point_rows, keyframes, features = observation_kernels.list_observations(
+            points, included, self.points.observation_counts, self.points.heads, self._links
         )
-        return which, keyframes, features
+        return point_rows, keyframes, features
 
     def remove_points(self, points: Indices) -> None:
         """Remove points and their observations."""
         self._covisible.clear()
-        map_kernels.remove_points(points, self._observation_links)
+        observation_kernels.remove_points(points, self._observation_links)
 
     def replace_points(self, old: Indices, new: Indices) -> None:
         """Let new[i] be seen wherever old[i] was, unless it is seen there already; old[i] dies.
@@ -97,12 +98,12 @@ class Map:
         """
         self._covisible.clear()
         table = self.points
-        replacements = map_kernels.Replacements(table.replaced_by, table.found_counts, table.visible_counts)
-        map_kernels.replace_points(old, new, self._observation_links, replacements)
+        replacements = observation_kernels.Replacements(table.replaced_by, table.found_counts, table.visible_counts)
+        observation_kernels.replace_points(old, new, self._observation_links, replacements)
 
     def resolve_points(self, points: Indices) -> Indices:
         """Return `points` (N,) with replaced ones exchanged for their replacements and dead ones for NONE."""
-        return np.asarray(map_kernels.resolve_points(points, self.points.replaced_by, self.points.alive))
+        return np.asarray(observation_kernels.resolve_points(points, self.points.replaced_by, self.points.alive))
 
     def refresh_points(self, points: Indices, descriptors: bool = True) -> None:
         """Recompute what points derive from their observations: normal, distances, descriptor."""
@@ -117,7 +118,9 @@ class Map:
 
     def covisibility(self, points: Indices) -> Indices:
         """Return how many of `points` each keyframe sees (K,); NONE is skipped."""
-        return np.asarray(map_kernels.count_covisible(points, self.keyframes.count, self.points.heads, self._links))
+        return np.asarray(
+            observation_kernels.count_covisible(points, self.keyframes.count, self.points.heads, self._links)
+        )
 
     def neighbors(
         self, keyframe: int, limit: int | None = None, min_points: int = COVISIBLE_MIN_POINTS
@@ -139,14 +142,14 @@ class Map:
 
         NONE is skipped.
         """
-        keyframes, counts = map_kernels.rank_covisible(
+        keyframes, counts = observation_kernels.rank_covisible(
             points, excluded, self.keyframes.count, self.points.heads, self._links
         )
         return keyframes, counts
 
     def points_of(self, keyframes: Indices) -> Indices:
         """Return the points that any of `keyframes` sees, ascending."""
-        return np.asarray(map_kernels.union_of_points(keyframes, self.keyframes.points, self.points.count))
+        return np.asarray(observation_kernels.union_of_points(keyframes, self.keyframes.points, self.points.count))
 
     def is_redundant(self, keyframe: int) -> bool:
         """Return whether enough others see nearly all points of `keyframe` at least as finely (ORB-SLAM VI-E)."""

@@ -10,7 +10,7 @@ import numpy as np
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
-from codecbench.slam.map.kernels import FEATURE, KEYFRAME, NEXT
+from codecbench.slam.map.observation_kernels import FEATURE, KEYFRAME, NEXT
 
 
 @compiled

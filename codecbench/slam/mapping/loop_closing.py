@@ -62,11 +62,11 @@ def _fuse_loop_sides(slam_map: Map, camera: Camera, loop: Loop, group: Indices, 
     points = slam_map.points_of(side)
     for feature in np.nonzero(loop.points >= 0)[0]:
         new = int(slam_map.resolve_points(loop.points[feature : feature + 1])[0])
-        shown = int(slam_map.keyframes.points[loop.keyframe, feature])
-        if new < 0 or new == shown:
+        current = int(slam_map.keyframes.points[loop.keyframe, feature])
+        if new < 0 or new == current:
             continue
-        if shown >= 0:
-            slam_map.replace_points(np.array([shown]), np.array([new]))
+        if current >= 0:
+            slam_map.replace_points(np.array([current]), np.array([new]))
         elif not (slam_map.keyframes.points[loop.keyframe] == new).any():
             slam_map.observe(loop.keyframe, np.array([feature]), np.array([new]))
     for k in group:
@@ -125,10 +125,10 @@ def _apply_corrections(slam_map: Map, old: Array, new: Array) -> None:
     alive = slam_map.alive_keyframes
     moved = slam_map.alive_points
     references = points.references[moved].copy()
-    which, seen_by, _ = slam_map.observations(moved)
+    point_rows, seen_by, _ = slam_map.observations(moved)
     dead = ~table.alive[references]
     first_seen = np.zeros(len(moved), np.int64)
-    first_seen[which] = seen_by
+    first_seen[point_rows] = seen_by
     references[dead] = first_seen[dead]
     transforms = np.tile(np.eye(4), (table.count, 1, 1))
     for k in alive:

@@ -129,9 +129,9 @@ class LoopDetector:
             projections.octaves - 1, projections.octaves + 1, there.points.descriptors[projections.points],
             features, np.ones(len(features), np.bool_), thresholds.HAMMING_LOW,
         )  # fmt: skip
-        shown = np.full(len(features), NONE, np.int64)
-        shown[matches[matches >= 0]] = projections.points[matches >= 0]
-        return shown, len(projections.points)
+        matched_points = np.full(len(features), NONE, np.int64)
+        matched_points[matches[matches >= 0]] = projections.points[matches >= 0]
+        return matched_points, len(projections.points)
 
 
 def _points_in_camera(slam_map: Map, keyframe: int, features: Indices) -> Array:

@@ -167,10 +167,10 @@ def adjust_keyframes(
     chosen = np.concatenate([free, fixed]).astype(np.int64)
     slots = np.full(keyframes.count, NONE, np.int64)
     slots[chosen] = np.arange(len(chosen))
-    which, seen_by, features = slam_map.observations(points, chosen)
+    point_rows, seen_by, features = slam_map.observations(points, chosen)
     seen = seen_by * keyframes.points.shape[1] + features  # flat rows by feature: one index is faster than two
     result = adjust(
-        keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], which,
+        keyframes.camera_from_world[chosen], table.positions[points], slots[seen_by], point_rows,
         keyframes.pixels.reshape(-1, 2).take(seen, axis=0),
         slam_map.inverse_sigma2[keyframes.octaves.ravel().take(seen)], camera.intrinsics,
         np.arange(len(chosen)) >= len(free), iterations=iterations, tolerance=tolerance, huber=huber,

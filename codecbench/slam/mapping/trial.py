@@ -66,9 +66,9 @@ class Trial:
         fundamental, _ = fundamental_between(keyframes.camera_from_world[0], pose, matrix)
         squares = _line_squares(fundamental, pixels_a, pixels_b)
         points = keyframes.points[0][seen]
-        shown = points >= 0
-        in_camera = self._map.points.positions[points[shown]] @ pose[:3, :3].T + pose[:3, 3]
-        squares[shown] = _pixel_squares(in_camera @ matrix.T, pixels_b[shown])
+        has_point = points >= 0
+        in_camera = self._map.points.positions[points[has_point]] @ pose[:3, :3].T + pose[:3, 3]
+        squares[has_point] = _pixel_squares(in_camera @ matrix.T, pixels_b[has_point])
         return squares
 
 

@@ -54,12 +54,12 @@ def columns_of(table: PointTable) -> PointColumns:
 @compiled
 def search_last_frame(
     last_points: Any, last_octaves: Any, last_angles: Any, window_px: float,
-    table: PointColumns, lens: Lens, camera_from_world: Any, view: View, angles: Any, shown: Any,
+    table: PointColumns, lens: Lens, camera_from_world: Any, view: View, angles: Any, matched_points: Any,
 ) -> int:  # fmt: skip
     """Search the points of the last frame (N,) by feature, -1 for none, in windows around their predictions.
 
     `last_octaves`, `last_angles` (N,) are those of its features; `angles` (F,) those of this frame, whose points
-    `shown` (F,) are filled in. Returns the number of matches.
+    `matched_points` (F,) are filled in. Returns the number of matches.
     """
     seen = np.nonzero(last_points >= 0)[0]
     ahead, pixels = project_ahead(last_points[seen], table.positions, camera_from_world, lens.intrinsics)
@@ -71,20 +71,20 @@ def search_last_frame(
         octave = np.int64(last_octaves[seen[i]])
         radii[i], low[i], high[i] = window_px * lens.scale_factors[octave], octave - 1, octave + 1
     queries = Queries(pixels, radii, low, high, points, table.descriptors)
-    free = np.ones(len(shown), np.bool_)
+    free = np.ones(len(matched_points), np.bool_)
     matches = search_windows(queries, view, free, thresholds.HAMMING_HIGH, thresholds.TRACK_RATIO)
     keep_consistent_rotations(matches, turns, angles)
-    return _assign_points(matches, points, shown)
+    return _assign_points(matches, points, matched_points)
 
 
 @compiled
 def search_projections(
     points: Any, pixels: Any, octaves: Any, cosines: Any, widen: float,
-    descriptors: Any, scale_factors: Any, view: View, shown: Any,
+    descriptors: Any, scale_factors: Any, view: View, matched_points: Any,
 ) -> int:  # fmt: skip
     """Search projected points among the features that show none yet; see Projections.
 
-    Fills in the points `shown` (F,); returns the number of matches.
+    Fills in the points `matched_points` (F,); returns the number of matches.
     """
     radii, low = np.empty(len(points)), octaves - 1
     for i in range(len(points)):
@@ -92,20 +92,26 @@ def search_projections(
         radius = thresholds.LOCAL_WINDOW_FRONTAL_PX if frontal else thresholds.LOCAL_WINDOW_PX
         radii[i] = radius * widen * scale_factors[octaves[i]]
     queries = Queries(pixels, radii, low, octaves, points, descriptors)
-    matches = search_windows(queries, view, shown < 0, thresholds.HAMMING_HIGH, thresholds.LOCAL_RATIO)
-    return _assign_points(matches, points, shown)
+    matches = search_windows(queries, view, matched_points < 0, thresholds.HAMMING_HIGH, thresholds.LOCAL_RATIO)
+    return _assign_points(matches, points, matched_points)
 
 
 @compiled
 def search_local_map(
-    local: Any, table: PointColumns, point_count: int, lens: Lens, camera_from_world: Any, view: View, shown: Any
+    local: Any,
+    table: PointColumns,
+    point_count: int,
+    lens: Lens,
+    camera_from_world: Any,
+    view: View,
+    matched_points: Any,
 ) -> int:
-    """Search the local points (N,) that a frame does not show yet; fills in `shown` (F,).
+    """Search the local points (N,) that a frame does not show yet; fills in `matched_points` (F,).
 
     Counts as visible what the frame shows and what it should show. Returns the number of matches.
     """
     unseen = np.ones(point_count, np.bool_)
-    for point in shown:
+    for point in matched_points:
         if point >= 0 and unseen[point]:
             unseen[point] = False
             table.visible_counts[point] += 1
@@ -119,26 +125,32 @@ def search_local_map(
         table.visible_counts[point] += 1
     return int(
         search_projections(
-            points, pixels, octaves, cosines, 1.0, table.descriptors, lens.scale_factors, view, shown
+            points, pixels, octaves, cosines, 1.0, table.descriptors, lens.scale_factors, view, matched_points
         )
     )  # fmt: skip
 
 
 @compiled
 def optimize_matched_pose(
-    camera_from_world: Any, shown: Any, positions: Any, pixels: Any, octaves: Any, inverse_sigma2: Any, intrinsics: Any
+    camera_from_world: Any,
+    matched_points: Any,
+    positions: Any,
+    pixels: Any,
+    octaves: Any,
+    inverse_sigma2: Any,
+    intrinsics: Any,
 ) -> int:
-    """Move `camera_from_world` (4, 4) to fit the points `shown` (F,) by a frame's features; outliers leave `shown`.
+    """Move `camera_from_world` (4, 4) to fit the points `matched_points` (F,) by a frame's features; drops outliers.
 
     Returns the inliers; with fewer than four points nothing happens. See optimize_pose.
     """
-    matched = np.nonzero(shown >= 0)[0]
+    matched = np.nonzero(matched_points >= 0)[0]
     count = len(matched)
     if count < 4:
         return 0
     points, places, weights = np.empty((count, 3)), np.empty((count, 2)), np.empty(count)
     for i in range(count):
-        point, feature = shown[matched[i]], matched[i]
+        point, feature = matched_points[matched[i]], matched[i]
         for k in range(3):
             points[i, k] = positions[point, k]
         places[i, 0], places[i, 1] = pixels[feature, 0], pixels[feature, 1]
@@ -151,16 +163,16 @@ def optimize_matched_pose(
             camera_from_world[i, j] = rotation[i, j]
     for i in range(count):
         if not inliers[i]:
-            shown[matched[i]] = -1
+            matched_points[matched[i]] = -1
     return int(np.count_nonzero(inliers))
 
 
 @compiled
-def _assign_points(matches: Any, points: Any, shown: Any) -> int:
-    """Write the matched points to `shown`; returns the number of matches."""
+def _assign_points(matches: Any, points: Any, matched_points: Any) -> int:
+    """Write the matched points to `matched_points`; returns the number of matches."""
     count = 0
     for q in range(len(matches)):
         if matches[q] >= 0:
-            shown[matches[q]] = points[q]
+            matched_points[matches[q]] = points[q]
             count += 1
     return count

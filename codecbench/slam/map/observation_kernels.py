@@ -163,23 +163,23 @@ def resolve_points(points: Any, replaced_by: Any, alive: Any) -> Any:
 
 
 @compiled
-def list_observations(points: Any, wanted: Any, counts: Any, heads: Any, links: Any) -> Any:
-    """Return index into `points`, keyframe, feature, (M,) each, of observations by keyframes `wanted` (K,), bool."""
+def list_observations(points: Any, included: Any, counts: Any, heads: Any, links: Any) -> Any:
+    """Return index into `points`, keyframe, feature, (M,) each, of observations by keyframes `included` (K,), bool."""
     total = 0
     for p in points:
         total += counts[p]
-    which = np.empty(total, np.int64)
+    point_rows = np.empty(total, np.int64)
     keyframes = np.empty(total, np.int64)
     features = np.empty(total, np.int64)
     m = 0
     for i in range(len(points)):
         link = heads[points[i]]
         while link >= 0:
-            if wanted[links[link, KEYFRAME]]:
-                which[m], keyframes[m], features[m] = i, links[link, KEYFRAME], links[link, FEATURE]
+            if included[links[link, KEYFRAME]]:
+                point_rows[m], keyframes[m], features[m] = i, links[link, KEYFRAME], links[link, FEATURE]
                 m += 1
             link = links[link, NEXT]
-    return which[:m], keyframes[:m], features[:m]
+    return point_rows[:m], keyframes[:m], features[:m]
 
 
 @compiled
