@@ -112,7 +112,7 @@ class TrackedMap:
         self._uncorrected_from_map = np.asarray(sim3_compose(self._uncorrected_from_map, before_from_after))
 
     def absorb(self, other: TrackedMap, loop: Loop) -> None:
-        """Merge another map, a place of which a keyframe of this one shows in `loop`, into this one.
+        """Merge another map into this one; in `loop`, a keyframe of this map shows a place of the other.
 
         Poses as tracked in either map are in the coordinates that this map had before the two were adjusted to each
         other. Do not use `other` afterwards.

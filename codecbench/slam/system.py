@@ -69,7 +69,7 @@ class System:
         with _single_opencv_thread():
             gray = to_gray(image)
             decode = None if keyframe_image is None else lambda: self._extract_decoded(keyframe_image(image))
-            return self._record_state(
+            return self._process_and_record(
                 (gray.shape[1], gray.shape[0]), timestamp_s, lambda: self._extractor.extract(gray), decode
             )
 
@@ -84,7 +84,7 @@ class System:
                 f"{len(keypoints)} keypoints; Options.features allows {self.options.features}: set it to that many"
             )
         with _single_opencv_thread():
-            return self._record_state(keypoints.size, timestamp_s, lambda: self._extractor.features_of(keypoints))
+            return self._process_and_record(keypoints.size, timestamp_s, lambda: self._extractor.features_of(keypoints))
 
     @property
     def maps(self) -> tuple[Map, ...]:
@@ -99,7 +99,7 @@ class System:
         frames = tuple(replace(state, map_index=self._atlas.surviving_index(state.map_index)) for state in self._frames)
         return Result(frames, tuple(self._loops), tuple(maps), tuple(self._atlas.merges))
 
-    def _record_state(
+    def _process_and_record(
         self,
         size: tuple[int, int],
         timestamp_s: float,

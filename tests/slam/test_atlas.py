@@ -103,11 +103,11 @@ def test_a_map_of_few_keyframes_is_left_alone(walk: Walk, monkeypatch: pytest.Mo
 
 def test_a_map_that_became_part_of_another_is_freed(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
     gone = []
-    take_in = TrackedMap.absorb
+    absorb = TrackedMap.absorb
 
     def watched(self: TrackedMap, other: TrackedMap, seen: object) -> None:
         gone.extend([weakref.ref(other), weakref.ref(other.map)])
-        take_in(self, other, seen)  # type: ignore[arg-type]
+        absorb(self, other, seen)  # type: ignore[arg-type]
 
     monkeypatch.setattr(TrackedMap, "absorb", watched)
     system = System(walk.camera)

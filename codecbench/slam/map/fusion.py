@@ -17,7 +17,7 @@ from codecbench.slam.map.projection import project_points
 
 
 class _Points(NamedTuple):
-    """The columns of points on which their view depends; see PointTable."""
+    """Columns of the point table that fusion reads; see PointTable."""
 
     positions: Any
     normals: Any

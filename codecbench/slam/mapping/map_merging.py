@@ -33,7 +33,7 @@ class AbsorbedMap:
 
 
 def absorb_map(mapper: Mapper, other: Mapper, loop: Loop) -> AbsorbedMap:
-    """Move another map to where the `loop` of a keyframe of this one shows it, and add it to this one.
+    """Move another map to where a keyframe of this one shows it, by `loop`, and add it to this one.
 
     Closing `AbsorbedMap.loop` then fuses duplicates and adjusts the map. Do not use `other` afterwards.
     """
