@@ -46,7 +46,7 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
     from codecbench.cli.rank import show_answer, show_notes
     from codecbench.cli.show import show_reasons
     from codecbench.core.analysis.collect import absent_plugins, open_nonempty_run
-    from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
+    from codecbench.core.engine.bundling.packing import folder_beside, unpack_bundle
     from codecbench.core.engine.plugins.registry import installed
     from codecbench.core.report.page import write_report
     from codecbench.core.report.tables import notes

@@ -15,8 +15,7 @@ from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import DatasetError, ParamsError
 from codecbench.core.contracts.evaluator import CodedSequence
-from codecbench.core.engine.bundling.packing import write_bundle
-from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
+from codecbench.core.engine.bundling.packing import folder_beside, unpack_bundle, write_bundle
 from codecbench.core.engine.hosting.host import limit_s
 from codecbench.core.engine.planning.matrix import matrix_from, read_matrix
 from codecbench.core.engine.planning.model import PluginSetting

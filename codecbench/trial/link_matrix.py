@@ -12,8 +12,7 @@ from codecbench.core.contracts.errors import MatrixError
 from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix, matrix_from, read_matrix
-from codecbench.core.engine.planning.objective import metrics_of
-from codecbench.core.engine.planning.until import repeats_of
+from codecbench.core.engine.planning.objective import metrics_of, repeats_of
 from codecbench.core.engine.planning.yaml_file import written
 from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.simulation.settings import LinkSettings

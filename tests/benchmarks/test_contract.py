@@ -27,7 +27,7 @@ from codecbench.core.engine.plugins.serving import keep_memory
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WorkPosition
-from codecbench.core.engine.running.plugins import Plugins
+from codecbench.core.engine.running.workbench import Plugins
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile, write_bitstreams
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.evaluators.quality import Quality

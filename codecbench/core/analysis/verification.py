@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 from codecbench.core.analysis.replanning import SAME_PLACE, Replanned, replan
 from codecbench.core.contracts.errors import ParamsError, StoreError
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.bundling.unpacking import unpack_bundle
+from codecbench.core.engine.bundling.packing import unpack_bundle
 from codecbench.core.engine.planning.declared import read_declared
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.plugins.registry import installed

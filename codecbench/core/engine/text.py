@@ -10,6 +10,8 @@ import re
 import signal
 from typing import Any, Final
 
+from codecbench.core.engine.identity import content_digest
+
 LINE_LIMIT: Final = 1_000
 """Characters of a name, a label or a reason."""
 
@@ -49,8 +51,6 @@ def _cut(text: str, limit: int) -> str:
     """The text, or its beginning with a digest of the whole, so that different texts stay different."""
     if len(text) <= limit:
         return text
-    from codecbench.core.engine.identity import content_digest  # brings pydantic, which most commands do without
-
     mark = content_digest(text.encode("utf-8", "backslashreplace"))[:8]
     return f"{text[:limit]}... ({len(text):,} characters, digest {mark})"
 

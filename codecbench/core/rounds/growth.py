@@ -20,13 +20,11 @@ from codecbench.core.analysis.verdicts import values_in
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.estimate import estimate
-from codecbench.core.engine.planning.inputs import sources
 from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, SearchFinding
-from codecbench.core.engine.planning.objective import Objective
+from codecbench.core.engine.planning.objective import Objective, repeats_of, sources
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.planning.search import ALL_REPEATS, PlanScope
-from codecbench.core.engine.planning.until import repeats_of
 from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.rounds.edge import Edge

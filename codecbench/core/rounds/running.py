@@ -13,8 +13,8 @@ from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.plugins.registry import installed
+from codecbench.core.engine.running.progress import RunSummary
 from codecbench.core.engine.running.run import Listener, run_plan
-from codecbench.core.engine.running.summary import RunSummary
 
 if TYPE_CHECKING:
     from codecbench.core.rounds.growth import Growth

@@ -21,7 +21,7 @@ import codecbench
 from codecbench.cli import cli
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.core.engine.running.summary import RunSummary
+from codecbench.core.engine.running.progress import RunSummary
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.rounds.running import plan_matrix, run_matrix
 

@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 from pydantic import ValidationError
 
-from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.errors import ParamsError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import CodecEvaluator
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.params import Params
@@ -21,7 +22,7 @@ from codecbench.core.engine.identity import canonical_json
 from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.yaml_file import suggest
-from codecbench.core.engine.plugins.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.engine.text import clean_line, clean_value
 
 _CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor", "link")
@@ -258,3 +259,20 @@ def _means(values: dict[str, Any], params: Params) -> bool:
         return type(params).model_validate(values) == params
     except ValidationError:
         return False
+
+
+def codec(name: str, **params: Any) -> AnyCodec[Any]:
+    """One setting of an installed codec, by its name in a matrix and its parameters.
+
+    Raises PluginError, with the nearest name, for an unknown one, ParamsError for parameters that it does not take, and
+    Unsupported, with the command that mends it, where a library is missing.
+    """
+    registry = installed()
+    try:
+        describe(registry, "codec", name, params)
+    except InvalidParams as invalid:
+        several = [key for key, value in params.items() if isinstance(value, list | tuple | range)]
+        one = f"; one value is wanted of {', '.join(several)}: make a codec of each, or a grid in a matrix"
+        raise ParamsError(f"codec {name}: {invalid.sentence}{one if several else ''}") from None
+    found: AnyCodec[Any] = registry.create("codec", name, params)
+    return found

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -17,15 +18,15 @@ from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.axes import Point, axes, axis_hint, points
 from codecbench.core.engine.planning.description import InvalidParams, describe, said_of
 from codecbench.core.engine.planning.entry import Entry, distinct, labelled
-from codecbench.core.engine.planning.inputs import require_sources
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
-from codecbench.core.engine.planning.objective import Objective
-from codecbench.core.engine.planning.plan_bounds import require_plannable
+from codecbench.core.engine.planning.objective import Objective, UntilSection, decided_objective, require_sources
 from codecbench.core.engine.planning.search import Search, made_searches
 from codecbench.core.engine.planning.search_section import read_search_spec
-from codecbench.core.engine.planning.until import UntilSection, decided_objective
 from codecbench.core.engine.planning.yaml_file import Problems, Where, load, parsed, plain, shown, suggest
 from codecbench.core.engine.plugins.registry import Registry, installed
+
+if TYPE_CHECKING:
+    from codecbench.core.engine.planning.entry import Entry
 
 VERSION = 1
 _SECTIONS: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
@@ -259,3 +260,20 @@ def _own_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
         if detail["type"] != "missing" and place not in values and (place is not None or not values):
             return f"parameter {place}: {said_of(detail)}" if place else said_of(detail)
     return None
+
+
+_MOST_CELLS: Final = 1_000_000
+
+
+def require_plannable(
+    sections: Mapping[str, tuple[Entry, ...]], searches: tuple[Search, ...], problems: Problems
+) -> None:
+    """Raise MatrixError for more cells than can be planned: the sections meet each other."""
+    counts = {section: len(entries) for section, entries in sections.items()}
+    counts["codecs"] = sum(entry.wanted is None for entry in sections["codecs"])
+    counts["codecs"] += sum(min(search.budget, len(search.settings)) for search in searches)
+    cells = math.prod(counts.values())
+    if cells > _MOST_CELLS:
+        spelled = " x ".join(f"{count:,} {section}" for section, count in counts.items())
+        problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are planned")
+        problems.raise_any()

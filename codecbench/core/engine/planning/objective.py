@@ -6,13 +6,19 @@ import difflib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.metric import AGGREGATES, Metric
 from codecbench.core.engine.planning.declared import read_declared
+from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.search_section import Bound, ObjectiveSection
-from codecbench.core.engine.planning.yaml_file import Problems, Where
+from codecbench.core.engine.planning.yaml_file import Problems, Where, plain
+from codecbench.core.engine.plugins.registry import Registry
 
 
 @dataclass(frozen=True)
@@ -96,3 +102,93 @@ def _meanings(text: str, evaluators: Sequence[Entry]) -> Iterator[tuple[PluginSe
                 stage, _, last = rest[1:].rpartition(".")
                 how = last if last in AGGREGATES else ""
                 yield entry.setting, metric, stage if how else rest[1:], how or metric.aggregates[0]
+
+
+def sources(quantity: str, evaluators: Sequence[Entry]) -> list[tuple[Entry, Metric]]:
+    """The evaluators that measure something and await nothing themselves, each with its metric."""
+    found = ((entry, metric) for entry in evaluators if not entry.requires for metric in metrics_of(entry))
+    return [(entry, metric) for entry, metric in found if metric.quantity == quantity]
+
+
+def require_sources(evaluators: Sequence[Entry], registry: Registry, problems: Problems) -> None:
+    """Note a problem with every parameter that awaits what none of the evaluators measures, or several do."""
+    for entry in evaluators:
+        for parameter, quantity in entry.requires.items():
+            found = [source.setting.title for source, _ in sources(quantity, evaluators)]
+            if len(found) == 1:
+                continue
+            value, place = entry.setting.params.get(parameter), (*entry.where, "params", parameter)
+            if found:
+                message = f"{value!r} is the time of {quantity}, which several evaluators measure"
+                message += f": {', '.join(found)}; keep one of them, or give milliseconds"
+            else:
+                known = " or ".join(_measuring(quantity, registry)) or "one that does"
+                message = f"{value!r} is the time of {quantity}, which no evaluator of this matrix measures"
+                message += f"; add {known}, or give milliseconds"
+            problems.add(place, message)
+
+
+def _measuring(quantity: str, registry: Registry) -> list[str]:
+    """Installed evaluators that measure something with their usual parameters."""
+    names = []
+    for plugin in registry.plugins("evaluator"):
+        try:
+            declared = describe(registry, "evaluator", plugin.spec.name, {}).declared
+        except (CodecbenchError, InvalidParams):
+            continue
+        metrics = (read_declared(Metric, value) for value in declared.get("metrics", ()))
+        if any(metric is not None and metric.quantity == quantity for metric in metrics):
+            names.append(plugin.spec.name)
+    return names
+
+
+class UntilSection(BaseModel):
+    """`decided`: the name of a metric of role `success`, or a metric with `min` or `max`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    decided: ObjectiveSection = Field(
+        description="a metric of role success by its name, or {metric: NAME, min: NUMBER}"
+    )
+
+    @field_validator("decided", mode="before")
+    @classmethod
+    def _named(cls, value: Any) -> Any:
+        return {"metric": value, "min": 1} if isinstance(value, str) else value
+
+    @field_validator("decided")
+    @classmethod
+    def _bounded(cls, value: ObjectiveSection) -> ObjectiveSection:
+        if value.equal is not None:
+            raise ValueError("takes min or max: a repeat meets it or does not")
+        return value
+
+
+def decided_objective(
+    section: UntilSection | None, root: Any, evaluators: Sequence[Entry], problems: Problems
+) -> Objective | None:
+    """What is to be decided; None where nothing is, or, with a problem, where it cannot be."""
+    if section is None:
+        return None
+    where = ("run", "until", "decided")
+    objective = find_objective(section.decided, evaluators, where, problems)
+    if objective is None:
+        return None
+    if isinstance(plain(root["run"]["until"]["decided"]), str) and objective.metric.role != "success":
+        message = f"{objective.metric.name} is no success or failure; give it a limit: {{metric: NAME, max: NUMBER}}"
+        problems.add(where, message)
+        return None
+    if repeats_of(objective.evaluator.title, evaluators) < 2:
+        problems.add(
+            where, f"evaluator {objective.evaluator.title} has a single repeat; give it as many as may be spent"
+        )
+        return None
+    return objective
+
+
+def repeats_of(title: str, evaluators: Sequence[Entry]) -> int:
+    """How many repeats an evaluator's setting has; 1 where it cannot be used here."""
+    for entry in evaluators:
+        if entry.setting.title == title and entry.description is not None:
+            return max(1, len(entry.description.identities))
+    return 1

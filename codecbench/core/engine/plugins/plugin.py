@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import importlib.metadata
 import importlib.util
+import inspect
 import re
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec, PathFinder
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
+from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import Kind, PluginSpec
+from codecbench.core.engine.text import describe_error
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -92,7 +96,7 @@ def _refused_versions(distribution: str, libraries: tuple[str, ...]) -> list[str
 
 @functools.cache
 def _requirements(distribution: str) -> tuple[Requirement, ...]:
-    from packaging.requirements import Requirement
+    from packaging.requirements import Requirement  # slow, and `codecbench list` rarely needs it
 
     return tuple(map(Requirement, importlib.metadata.requires(distribution) or ()))
 
@@ -131,3 +135,52 @@ def module_spec(module: str, *, to_first_file: bool = False) -> ModuleSpec | Non
             spec = PathFinder.find_spec(".".join(parts[:depth]), list(spec.submodule_search_locations or ()))
         return spec
     return None
+
+
+_BASES: Final[dict[Kind, tuple[str, ...]]] = {
+    "codec": ("codec:Codec", "codec:StreamCodec", "codec:FeatureCodec"),
+    "evaluator": ("evaluator:Evaluator",),
+    "dataset": ("sequence:Dataset",),
+    "slam_backend": ("slam:SlamBackend",),
+    "executor": ("executor:Executor",),
+    "link": ("link:Link",),
+}
+"""In codecbench.core.contracts; a plugin subclasses one of those of its kind."""
+
+
+def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
+    """The class of a plugin, imported into this process now. title: how messages name the plugin.
+
+    Raises PluginError where its module fails to import or it breaks the contract, and Unsupported where it says so.
+    """
+    module_name, _, class_name = spec.target.partition(":")
+    try:
+        module = importlib.import_module(module_name)
+    except Unsupported:
+        raise
+    except Exception as error:
+        raise PluginError(f"{title}: {module_name} does not import: {describe_error(error)}") from error
+    cls: Any = getattr(module, class_name, None)
+    if not hasattr(module, class_name):
+        near = difflib.get_close_matches(class_name, vars(module), n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise PluginError(f"{title}: {module_name} has no {class_name}{meant}")
+    bases = _bases(kind)
+    base = next((base for base in bases if isinstance(cls, type) and issubclass(cls, base)), None)
+    if base is None:
+        allowed = " or ".join(f"codecbench.{base.__name__}" for base in bases)
+        raise PluginError(f"{title}: {spec.target} is not a subclass of {allowed}")
+    name = getattr(cls, "name", None)
+    if name != spec.name:
+        raise PluginError(f"{title}: {spec.target} calls itself {name!r}")
+    for attribute in dict.fromkeys(name for ancestor in base.__mro__ for name in inspect.get_annotations(ancestor)):
+        if not hasattr(cls, attribute):
+            raise PluginError(f"{title}: {spec.target} has no class attribute {attribute!r}")
+    if left := sorted(getattr(cls, "__abstractmethods__", ())):
+        raise PluginError(f"{title}: {spec.target} does not define {', '.join(left)}")
+    return cls
+
+
+def _bases(kind: Kind) -> list[type]:
+    places = (place.split(":") for place in _BASES[kind])
+    return [getattr(importlib.import_module(f"codecbench.core.contracts.{module}"), name) for module, name in places]

@@ -31,9 +31,8 @@ from codecbench.core.engine.hosting.host import (
     PluginTimeout,
 )
 from codecbench.core.engine.plugins.entry_points import origin_of, own_first, points_by_origin
-from codecbench.core.engine.plugins.loading import load_class
 from codecbench.core.engine.plugins.offers import Offers, asked_offers, remembered_offers
-from codecbench.core.engine.plugins.plugin import OURS, Plugin, Problem, fault_of, spoken
+from codecbench.core.engine.plugins.plugin import OURS, Plugin, Problem, fault_of, load_class, spoken
 from codecbench.core.engine.text import describe_error
 
 _CALLED = "codecbench.core.engine.plugins.serving:called"

@@ -28,7 +28,7 @@ from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.hosting.channel import Exposed
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.plugins.serving import created, registry
-from codecbench.core.engine.running.plugins import Plugins
+from codecbench.core.engine.running.workbench import Plugins
 from codecbench.core.engine.storage.record import RECORD_FILE, SAMPLES_FILE
 from codecbench.core.engine.storage.samples import MeasurementCheck, MeasurementError
 

@@ -6,7 +6,8 @@ import math
 import time
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 from codecbench.core.engine.planning.estimate import START_S, TYPICAL_CELL_S, TYPICAL_CODING_MS
@@ -159,3 +160,22 @@ _ENCODING: Final = "encoding, which is no evaluator"
 
 def _kind(work: Work) -> _Kind:
     return (_ENCODING if isinstance(work, CodingJob) else work.evaluator.title), work.codec.name
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """How a run ended.
+
+    statuses: how many cells of the plan have which status now. computed: cells computed by this run. kept:
+    cells that an earlier run had computed. encoded: coding jobs done. interrupted: the signal that ended the
+    run early, or None. damaged: what was found damaged and why, by cell. notices: what was said of kept cells.
+    """
+
+    folder: Path
+    statuses: dict[str, int]
+    computed: int
+    kept: int
+    encoded: int
+    interrupted: str | None = None
+    damaged: dict[str, str] = field(default_factory=dict)
+    notices: tuple[str, ...] = ()

@@ -16,7 +16,7 @@ from codecbench.core.engine.plugins.registry import everything
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
 from codecbench.core.engine.running.work import BITSTREAMS, WorkItem, perform
 from codecbench.core.engine.running.workbench import Workbench
-from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.files import write_file
 from codecbench.core.engine.storage.record import Record
 from codecbench.core.kernels import manifest
 

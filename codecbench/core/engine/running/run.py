@@ -17,15 +17,12 @@ from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.plugins.fingerprint import code_label
 from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
-from codecbench.core.engine.running.interruption import Interruption
-from codecbench.core.engine.running.progress import Pace, Progress, measured_words
+from codecbench.core.engine.running.progress import Pace, Progress, RunSummary, measured_words
 from codecbench.core.engine.running.resume import Resumption, resume
-from codecbench.core.engine.running.run_log import logging_to
+from codecbench.core.engine.running.run_context import Interruption, logging_to
 from codecbench.core.engine.running.schedule import Schedule, Work
-from codecbench.core.engine.running.summary import RunSummary
-from codecbench.core.engine.running.tasks import outcome_of, task_of
 from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
-from codecbench.core.engine.running.work import BITSTREAMS, prepare_worker
+from codecbench.core.engine.running.work import BITSTREAMS, outcome_of, prepare_worker, task_of
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.store import Store

@@ -17,28 +17,30 @@ from typing import Any, BinaryIO, Final
 
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
-from codecbench.core.contracts.executor import Status
+from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, wanted
 from codecbench.core.engine.hosting.host import PluginLoss
-from codecbench.core.engine.planning.model import Cell, CodingJob
+from codecbench.core.engine.planning.model import Cell, CodingJob, RunSettings
 from codecbench.core.engine.plugins.serving import keep_memory, start_afresh
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WRITE, WorkPosition
+from codecbench.core.engine.running.frame_cache import cache_limit_bytes
 from codecbench.core.engine.running.measuring import measure, measured_in_host
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
 from codecbench.core.engine.storage.aggregate import summarise
-from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.engine.storage.bitstream_file import (
     BitstreamDamage,
     BitstreamFile,
     write_bitstreams,
     write_stream,
 )
+from codecbench.core.engine.storage.files import open_whole
 from codecbench.core.engine.storage.record import SAMPLES_FILE, Record, cell_description
 from codecbench.core.engine.storage.samples import parquet_from_samples
+from codecbench.core.engine.storage.store import Store
 from codecbench.core.engine.text import clean_line, clean_text, describe_error
 
 BITSTREAMS: Final = "bitstreams"
@@ -235,3 +237,35 @@ def _libraries(codec: AnyCodec[Any]) -> dict[str, str]:
     if not isinstance(found, dict) or not all(isinstance(text, str) for pair in found.items() for text in pair):
         raise PluginError(f"libraries returned {clean_line(repr(found))}; it returns names with their versions")
     return {clean_line(name): clean_line(version) for name, version in found.items()}
+
+
+def task_of(work: Work, settings: RunSettings, store: Store, shares_files: bool) -> Task:
+    """A job or cell as a task. shares_files: the executor's workers see the run folder."""
+    order = WorkItem(work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb), wanted())
+    exclusive = isinstance(work, Cell) and work.exclusive
+    limits = settings.timeout_s, settings.memory_mb
+    return Task(work.id, perform, order, *limits, exclusive)
+
+
+def _bitstreams(work: Work, store: Store, shares_files: bool) -> Path | bytes | None:
+    """Where a job writes its bitstreams or a cell reads them; their content where workers do not see the folder."""
+    job_id = work.id if isinstance(work, CodingJob) else work.job_id
+    if job_id is None:
+        return None
+    path = store.coded_path(job_id).absolute()
+    if shares_files:
+        return path
+    return None if isinstance(work, CodingJob) else path.read_bytes()
+
+
+def outcome_of(work: Work, finished: Finished) -> Record | BitstreamDamage | OSError:
+    """The record, the damage or the full disk that a task of this work ended with.
+
+    `worker` of a record is empty where none lived to tell.
+    """
+    if finished.status == "ok":
+        return finished.value  # type: ignore[no-any-return]
+    strangers = [plugin.full_name for plugin in work.plugins if plugin.distribution]
+    doing = "encoding" if isinstance(work, CodingJob) else "evaluating"
+    reason = f"{' or '.join(strangers)} while {doing}: {finished.reason}" if strangers else finished.reason
+    return Record(work.id, finished.status, clean_line(reason), clean_text(finished.traceback))

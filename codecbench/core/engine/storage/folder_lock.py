@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TextIO
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.storage.plain_file import open_plain
+from codecbench.core.engine.storage.files import open_plain
 from codecbench.core.engine.text import clean_line
 
 

@@ -2,18 +2,72 @@
 
 from __future__ import annotations
 
+import getpass
+import hashlib
+import hmac
 import logging
+import os
+import secrets
+import socket
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.identity import canonical_json, digest, json_from_bytes
 from codecbench.core.engine.planning.model import Plan, plan_from_json
-from codecbench.core.engine.storage.atomic import write_file
-from codecbench.core.engine.storage.origin import is_from_here, origin_here
-from codecbench.core.engine.storage.plain_file import read_plain
+from codecbench.core.engine.storage.files import open_plain, read_plain, write_file
 from codecbench.core.engine.text import clean_line, clean_text
+from codecbench.core.kernels.folders import cache_folder
+
+_KEY_FILE: Final = "origin.key"
+_KEY_BYTES: Final = 32
+
+
+def origin_here(plan_digest: str, folder: Path) -> dict[str, Any]:
+    """Host, user and path, and the seal that proves them; the seal is None where no key can be kept."""
+    origin = {"host": socket.gethostname(), "user": _user(), "path": str(folder.absolute())}
+    return {**origin, "seal": _seal(plan_digest, origin, _key(make=True))}
+
+
+def is_from_here(plan_digest: str, origin: dict[str, Any]) -> bool:
+    """Whether the plan of this digest was sealed with this user's key."""
+    content = {name: value for name, value in origin.items() if name != "seal"}
+    expected = _seal(plan_digest, content, _key(make=False))
+    return expected is not None and hmac.compare_digest(expected.encode(), str(origin.get("seal")).encode())
+
+
+def _seal(plan_digest: str, origin: dict[str, Any], key: bytes | None) -> str | None:
+    if key is None:
+        return None
+    return hmac.new(key, canonical_json([plan_digest, origin]), hashlib.sha256).hexdigest()
+
+
+def _key(make: bool) -> bytes | None:
+    """This user's key; None where there is none, or others could have read it."""
+    path = cache_folder() / _KEY_FILE
+    if make:
+        with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(secrets.token_bytes(_KEY_BYTES))
+    try:
+        with open_plain(path) as stream:
+            facts = os.fstat(stream.fileno())
+            key = stream.read()
+    except OSError:
+        return None
+    private = facts.st_uid == os.getuid() and not facts.st_mode & 0o077
+    return key if private and len(key) == _KEY_BYTES else None
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
+
 
 log = logging.getLogger("codecbench.store")
 

@@ -22,18 +22,18 @@ from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.storage import folder_lock
-from codecbench.core.engine.storage.atomic import (
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, EncoderNotes
+from codecbench.core.engine.storage.environment import EnvironmentFiles
+from codecbench.core.engine.storage.files import (
     make_folder,
+    read_plain,
+    refuse_links,
     remove_folder,
     sweep,
     sync_file_system,
     write_file,
     write_folder,
 )
-from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
-from codecbench.core.engine.storage.encoder_notes import EncoderNotes
-from codecbench.core.engine.storage.environment_files import EnvironmentFiles
-from codecbench.core.engine.storage.plain_file import read_plain, refuse_links
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.record import (
     RECORD_FILE,

@@ -12,8 +12,7 @@ import pytest
 from kept_runs import write_kept_run
 
 from codecbench import StoreError
-from codecbench.core.engine.bundling.packing import write_bundle
-from codecbench.core.engine.bundling.unpacking import unpack_bundle
+from codecbench.core.engine.bundling.packing import unpack_bundle, write_bundle
 from codecbench.core.engine.storage import folder_lock
 
 

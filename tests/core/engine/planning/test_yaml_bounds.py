@@ -14,8 +14,7 @@ from installed_command import Done
 
 from codecbench.core.contracts.errors import MatrixError
 from codecbench.core.engine.planning.axes import axes, points
-from codecbench.core.engine.planning.yaml_bounds import require_bounded
-from codecbench.core.engine.planning.yaml_file import Problems, load
+from codecbench.core.engine.planning.yaml_file import Problems, load, require_bounded
 
 HEAD = "version: 1\nname: x\nsequences: [{use: synthetic, params: {frames: 4}}]\nevaluators: [quality]\n"
 ALIASES = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))

@@ -19,9 +19,8 @@ from project import SUPPORT
 import codecbench
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
-from codecbench.core.engine.running.progress import Progress
+from codecbench.core.engine.running.progress import Progress, RunSummary
 from codecbench.core.engine.running.schedule import Schedule
-from codecbench.core.engine.running.summary import RunSummary
 
 STEPS = "{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}"
 MANY = matrix(STEPS, "wandering, whole, slow, {use: slow, params: {fault: again}}, alone")
