@@ -83,11 +83,11 @@ class LazyGroup(click.Group):
 @click.option("--confine", is_flag=True, help="Keep other distributions' plugins from the network and from your files.")
 def cli(confine: bool) -> None:
     """Benchmark image codecs by what they do to the task that uses the images."""
-    from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, wanted
+    from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, is_confinement_requested
 
     if confine:
         os.environ[VARIABLE] = "1"
-    if wanted():
+    if is_confinement_requested():
         confinement()
 
 

@@ -12,7 +12,7 @@ import click
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write it to this file.")
 def examples(name: str | None, out: Path | None) -> None:
     """List the example matrices that come with codecbench, or print the one called NAME."""
-    from codecbench.core.engine.storage.files import write_file
+    from codecbench.core.engine.storage.atomic import write_file
     from codecbench.trial.example_files import example, example_names, summary
 
     if name is None:

@@ -70,7 +70,7 @@ def _job(jobs: Sequence[CodingJob], codec: str, setting: str, sequence: str | No
 
 
 def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> None:
-    from codecbench.core.engine.storage.files import write_folder
+    from codecbench.core.engine.storage.atomic import write_folder
 
     if out.suffix:
         message = f"{job.codec.name} codes pictures on their own, which are no video"
@@ -88,7 +88,7 @@ def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> Non
 
 def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float, out: Path) -> None:
     from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.storage.files import write_file
+    from codecbench.core.engine.storage.atomic import write_file
     from codecbench.plugins.codecs.video.codecs import VideoCodec
     from codecbench.plugins.codecs.video.muxing import file_from_packets
 

@@ -58,7 +58,7 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
         frame, same = drop_constant_columns(short_table(result).join(result.wide.filter([NOTES])))
     content = export_table(frame, format_, same)
     if out is not None:
-        from codecbench.core.engine.storage.files import write_file
+        from codecbench.core.engine.storage.atomic import write_file
 
         write_file(out, content)
         click.echo(str(out))

@@ -91,7 +91,7 @@ def init(
     force: bool,
 ) -> None:
     """Write a matrix with comments, to edit: one that suits a recording, or a small one to begin with."""
-    from codecbench.core.engine.storage.files import write_file
+    from codecbench.core.engine.storage.atomic import write_file
     from codecbench.trial.example_files import example
 
     text = example("first") if path is None else _made(path, codecs, aim, minutes, fov, set_, with_notes=True).text

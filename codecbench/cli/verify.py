@@ -22,7 +22,7 @@ from codecbench.core.conformance.suite import CHECKS, TIMEOUT_S, CheckResult, Ex
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.plugins.plugin import Plugin
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.core.engine.storage.files import write_file
+from codecbench.core.engine.storage.atomic import write_file
 
 _MARKS = {"passed": ("pass", "green"), "failed": ("FAIL", "red"), "skipped": ("skip", "yellow")}
 _CHECK_NAMES = [check.name for check in CHECKS]

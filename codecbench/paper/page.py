@@ -10,7 +10,7 @@ import numpy as np
 
 from codecbench.core.analysis.limits import POOLED, Limit, limits
 from codecbench.core.analysis.run_result import RunResult, successes
-from codecbench.core.engine.storage.files import write_file
+from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.report.figures import draw_all
 from codecbench.core.report.tables import escape, foreign_table
 from codecbench.paper import facts

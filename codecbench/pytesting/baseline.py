@@ -17,7 +17,7 @@ from typing import Any, Final, overload
 
 import numpy as np
 
-from codecbench.core.engine.storage.files import write_file
+from codecbench.core.engine.storage.atomic import write_file
 
 _EXACT: Final = ("version", "size_bytes", "psnr_db", "encode_operations", "decode_operations")
 _ROUNDING_DB: Final = 1e-9

@@ -10,9 +10,9 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.identity import digest
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan, PluginSetting, RunSettings, SequenceEntry
 from codecbench.core.engine.storage.aggregate import summarise
+from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.bitstream_file import write_bitstreams
 from codecbench.core.engine.storage.environment import environment_id
-from codecbench.core.engine.storage.files import write_file
 from codecbench.core.engine.storage.record import Record, cell_description
 from codecbench.core.engine.storage.samples import parquet_from_samples
 from codecbench.core.engine.storage.store import Store

@@ -18,7 +18,7 @@ from codecbench.core.contracts.errors import CodecbenchError, PluginError, Store
 from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.view import Drawing, View
-from codecbench.core.engine.planning.declared import offers_of, read_declared
+from codecbench.core.engine.planning.declared import offers_of, read_declaration
 from codecbench.core.engine.planning.description import InvalidParams
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.plugins.registry import Registry, installed
@@ -186,12 +186,12 @@ def schema_of(plan: Plan, evaluators: Mapping[str, ResultsEvaluator]) -> RunSche
     for title in dict.fromkeys(cell.evaluator.title for cell in plan.cells):
         stored = plan.declared.get("evaluators", {}).get(title, {})
         here = evaluators.get(title)
-        known = [read_declared(Metric, value) for value in _dicts(stored, "metrics")]
+        known = [read_declaration(Metric, value) for value in _dicts(stored, "metrics")]
         known += list(here.metrics if here else ())
         metrics[title] = {}
         for metric in filter(None, known):
             metrics[title].setdefault(metric.name, metric)
-        stored_views = [view for value in _dicts(stored, "views") if (view := read_declared(View, value))]
+        stored_views = [view for value in _dicts(stored, "views") if (view := read_declaration(View, value))]
         views[title] = tuple(stored_views) if stored else tuple(here.views if here else ())
     codecs = plan.declared.get("codecs", {})
     names = dict.fromkeys(cell.codec.name for cell in plan.cells)

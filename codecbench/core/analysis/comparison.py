@@ -27,7 +27,7 @@ from codecbench.core.analysis.table import CellResult, json_value
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.identity import json_from_bytes
-from codecbench.core.engine.storage.files import write_file
+from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.text import clean_line, clean_value
 
 Verdict = Literal["better", "worse", "same", "changed", "cannot tell"]

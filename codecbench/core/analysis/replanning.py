@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError, PluginError
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.engine.planning.description import InvalidParams, describe, sequence_described
+from codecbench.core.engine.planning.description import InvalidParams, describe, describe_sequence
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix, RunSection
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
@@ -80,7 +80,7 @@ class _Reader:
             described = describe(registry, "dataset", setting.name, params)
             origin = registry.find("dataset", setting.name).foreign
             plugins: list[tuple[Kind, str]] = [("dataset", setting.name)]
-            opened = registry.ask(sequence_described, setting.name, described.params, of=plugins, times=_OPENING)
+            opened = registry.ask(describe_sequence, setting.name, described.params, of=plugins, times=_OPENING)
             if opened["fingerprint"] != wanted.fingerprint:
                 raise DatasetError(f"{wanted.name} has other frames here")
         except (CodecbenchError, InvalidParams, OSError) as error:

@@ -15,7 +15,7 @@ from codecbench.core.analysis.replanning import SAME_PLACE, Replanned, replan
 from codecbench.core.contracts.errors import ParamsError, StoreError
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.bundling.packing import unpack_bundle
-from codecbench.core.engine.planning.declared import read_declared
+from codecbench.core.engine.planning.declared import read_declaration
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.run import Listener, run_plan
@@ -240,7 +240,7 @@ def repeatable_metrics(plan: Plan, title: str) -> set[str] | None:
     declared = plan.declared.get("evaluators", {}).get(title, {}).get("metrics")
     if not isinstance(declared, list):
         return None
-    metrics = [read_declared(Metric, value) for value in declared if isinstance(value, dict)]
+    metrics = [read_declaration(Metric, value) for value in declared if isinstance(value, dict)]
     return {metric.name for metric in metrics if metric is not None and metric.repeatable}
 
 

@@ -28,7 +28,7 @@ from codecbench.core.contracts.errors import PluginError, StoreError, Unsupporte
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.params import Params
 from codecbench.core.engine.identity import json_from_bytes
-from codecbench.core.engine.storage.files import write_file
+from codecbench.core.engine.storage.atomic import write_file
 
 CodecClass = type[Codec[Any]]
 _FORMAT = 1

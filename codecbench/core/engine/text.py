@@ -24,12 +24,12 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u
 
 def clean_line(text: str) -> str:
     """One line of at most about `LINE_LIMIT` characters; whatever else is no plain text is spelt out (`\\x1b`)."""
-    return _cut(_spelt(" ".join(text.split()) if "\n" in text or "\t" in text or "\r" in text else text), LINE_LIMIT)
+    return _cut(_escape(" ".join(text.split()) if "\n" in text or "\t" in text or "\r" in text else text), LINE_LIMIT)
 
 
 def clean_text(text: str) -> str:
     """Lines of at most about `TEXT_LIMIT` characters together."""
-    return _cut(_spelt(text), TEXT_LIMIT)
+    return _cut(_escape(text), TEXT_LIMIT)
 
 
 def clean_value(value: Any) -> Any:
@@ -43,7 +43,7 @@ def clean_value(value: Any) -> Any:
     return value
 
 
-def _spelt(text: str) -> str:
+def _escape(text: str) -> str:
     return _CONTROL.sub(lambda found: found.group().encode("unicode_escape").decode(), text)
 
 
@@ -64,7 +64,7 @@ def describe_error(error: BaseException) -> str:
         return f"{kind}, whose message raises {type(second).__name__}"
 
 
-def ended(status: int) -> str:
+def describe_exit(status: int) -> str:
     """How a process ended by its status, which is negative where a signal ended it."""
     if status >= 0:
         return f"it ended its process with status {status}"

@@ -18,7 +18,7 @@ from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.contracts.view import Drawing
 from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import SequenceEntry
-from codecbench.core.engine.storage.files import open_whole
+from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.report.views import (
     FAILED,
     PALETTE,

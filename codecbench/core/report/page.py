@@ -18,7 +18,7 @@ from markupsafe import Markup
 from codecbench.core.analysis.run_result import Column, RunResult, judged_column, successes
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.engine.planning.matrix import VERSION as MATRIX_VERSION
-from codecbench.core.engine.storage.files import write_file
+from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.text import counted
 from codecbench.core.report.answers import answers_of_settings
 from codecbench.core.report.choosing import link_verdicts

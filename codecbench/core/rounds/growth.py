@@ -22,7 +22,7 @@ from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.estimate import estimate
 from codecbench.core.engine.planning.matrix import Matrix
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, SearchFinding
-from codecbench.core.engine.planning.objective import Objective, repeats_of, sources
+from codecbench.core.engine.planning.objective import Objective, metric_sources, repeats_of
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.planning.search import ALL_REPEATS, PlanScope
 from codecbench.core.engine.plugins.registry import Registry
@@ -201,7 +201,7 @@ class RequiredInputs:
         self._sources: dict[str, dict[str, Source]] = {}
         for entry in evaluators:
             for parameter, quantity in entry.requires.items():
-                source, metric = sources(quantity, evaluators)[0]
+                source, metric = metric_sources(quantity, evaluators)[0]
                 title = source.setting.title
                 self._sources.setdefault(entry.setting.title, {})[parameter] = Source(
                     source.setting, metric, repeats[title]

@@ -47,13 +47,13 @@ def largest_bytes(name: str) -> int:
     return LARGEST_BITSTREAMS if name.endswith(".bits") and name.startswith("coded/") else LARGEST_FILE
 
 
-def _checked_name(name: str) -> str:
+def _check_name(name: str) -> str:
     if not (_NAME_PATTERN.fullmatch(name) and name.isprintable() and len(name.encode()) <= _LONGEST_NAME):
         raise ValueError(f"{clean_line(name)!r} is no name of a file of a run")
     return name
 
 
-FileName = Annotated[str, AfterValidator(_checked_name)]
+FileName = Annotated[str, AfterValidator(_check_name)]
 """A path inside a run folder, with `/`, of a file that a bundle may hold. Raises ValueError for any other."""
 
 _Line = Annotated[str, AfterValidator(clean_line)]
@@ -115,7 +115,7 @@ class OpenBundle:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[OpenBundle]:
+def open_bundle(path: Path) -> Iterator[OpenBundle]:
     """The bundle in a file. Raises StoreError where it is none, or is refused, or its content proves to be damaged."""
     if not path.is_file():
         raise StoreError(f"{path} is not a bundle: there is no such file")
@@ -123,7 +123,7 @@ def opened(path: Path) -> Iterator[OpenBundle]:
         with open(path, "rb") as stream:
             _require_small_directory(stream, path.stat().st_size)
             with zipfile.ZipFile(stream) as archive:
-                members = _checked_members(archive.infolist(), path.stat().st_size)
+                members = _check_members(archive.infolist(), path.stat().st_size)
                 yield OpenBundle(_manifest(archive, members), archive)
     except _DAMAGE as error:
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error) or type(error).__name__
@@ -154,7 +154,7 @@ def _require_small_directory(stream: BinaryIO, size: int) -> None:
     stream.seek(0)
 
 
-def _checked_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[str, zipfile.ZipInfo]:
+def _check_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[str, zipfile.ZipInfo]:
     """The members by name. Raises ValueError for one that is not a plain file of a run, or is too large."""
     members: dict[str, zipfile.ZipInfo] = {}
     for info in infos:

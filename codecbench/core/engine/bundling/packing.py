@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import IO, BinaryIO, Final
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.bundling.container import MANIFEST, FileFacts, Manifest, opened
+from codecbench.core.engine.bundling.container import MANIFEST, FileFacts, Manifest, open_bundle
 from codecbench.core.engine.planning.model import Plan
+from codecbench.core.engine.storage.atomic import make_folder, open_whole, open_whole_folder
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
-from codecbench.core.engine.storage.files import make_folder, open_plain, open_whole, whole_folder
+from codecbench.core.engine.storage.plain_file import open_plain
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.record_index import IndexEntry
 from codecbench.core.engine.storage.store import Store
@@ -53,7 +54,7 @@ def write_bundle(folder: Path, path: Path | None = None, *, bitstreams: bool = F
     path = path or folder.absolute().with_name(folder.absolute().name + ENDING)
     counts = Counter(entry.status for entry in entries.values())
     with open_whole(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        files = {name: _added(archive, name, source) for name, source in _sources(store, plan, entries, bitstreams)}
+        files = {name: _add_file(archive, name, source) for name, source in _sources(store, plan, entries, bitstreams)}
         manifest = Manifest(
             codecbench=version("codecbench"),
             name=plan.name,
@@ -62,7 +63,7 @@ def write_bundle(folder: Path, path: Path | None = None, *, bitstreams: bool = F
             bitstreams=bitstreams,
             files=files,
         )
-        _added(archive, MANIFEST, BytesIO(manifest.model_dump_json(indent=1).encode() + b"\n"))
+        _add_file(archive, MANIFEST, BytesIO(manifest.model_dump_json(indent=1).encode() + b"\n"))
     _require_openable(path)
     with open(path, "rb") as whole:
         return Bundle(path, path.stat().st_size, hashlib.file_digest(whole, "sha256").hexdigest(), manifest)
@@ -71,7 +72,7 @@ def write_bundle(folder: Path, path: Path | None = None, *, bitstreams: bool = F
 def _require_openable(path: Path) -> None:
     """Remove a bundle that is larger than what anybody may open. Raises StoreError."""
     try:
-        with opened(path):
+        with open_bundle(path):
             pass
     except StoreError:
         path.unlink()
@@ -115,7 +116,7 @@ def _sources(
             yield name, source
 
 
-def _added(archive: zipfile.ZipFile, name: str, source: BinaryIO) -> FileFacts:
+def _add_file(archive: zipfile.ZipFile, name: str, source: BinaryIO) -> FileFacts:
     info = zipfile.ZipInfo(name, _DATE)
     info.compress_type, info.create_system, info.external_attr = zipfile.ZIP_DEFLATED, 3, _PLAIN_FILE
     info.file_size = source.seek(0, 2)
@@ -145,7 +146,7 @@ def unpack_bundle(path: Path, folder: Path) -> Manifest:
         raise StoreError(f"{folder} is there already; name another folder with --out")
     missing = [parent for parent in folder.parents if not parent.exists()]
     try:
-        return _unpacked(path, folder)
+        return _unpack(path, folder)
     except BaseException:
         for parent in missing:
             with suppress(OSError):  # not made, or in use by others
@@ -153,13 +154,13 @@ def unpack_bundle(path: Path, folder: Path) -> Manifest:
         raise
 
 
-def _unpacked(path: Path, folder: Path) -> Manifest:
-    with opened(path) as bundle:
+def _unpack(path: Path, folder: Path) -> Manifest:
+    with open_bundle(path) as bundle:
         make_folder(folder.parent)
         total = sum(facts.size for facts in bundle.manifest.files.values())
         if total > (free := shutil.disk_usage(folder.parent).free):
             raise StoreError(f"{path} unpacks to {total:,} bytes; {folder.parent} has {free:,} left")
-        with whole_folder(folder) as new:
+        with open_whole_folder(folder) as new:
             for name, facts in bundle.manifest.files.items():
                 target = new / name
                 target.parent.mkdir(parents=True, exist_ok=True)

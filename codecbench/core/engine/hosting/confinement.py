@@ -26,7 +26,7 @@ _SUPERVISOR: Final = os.path.join(os.path.dirname(os.path.abspath(__file__)), "s
 _PATIENCE_S: Final = 20.0
 
 
-def wanted() -> bool:
+def is_confinement_requested() -> bool:
     """Whether code of other distributions is to be confined."""
     return os.environ.get(VARIABLE, "") not in ("", "0")
 
@@ -35,22 +35,22 @@ def wanted() -> bool:
 def confinement() -> str:
     """What confines here, in words. Raises CodecbenchError where the system does not allow it."""
     if sys.platform != "linux":
-        raise _not_possible(f"{platform.system()} has no namespaces, Linux has")
+        raise _confinement_error(f"{platform.system()} has no namespaces, Linux has")
     with HeldFolder("codecbench-trial-") as held:
-        words = supervised("os:getpid", folder=str(held.path), confines=True)
+        words = supervisor_command("os:getpid", folder=str(held.path), confines=True)
         try:
             tried = subprocess.run(words, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise _not_possible(str(error)) from error
+            raise _confinement_error(str(error)) from error
     if tried.returncode != 0:
         said = " ".join(tried.stderr.split()[-40:]) or f"exit status {tried.returncode}"
-        raise _not_possible(f"the system does not let it: {said}")
+        raise _confinement_error(f"the system does not let it: {said}")
     from codecbench.core.engine.hosting.supervisor import USER  # with ctypes, for which `codecbench list` need not wait
 
     return f"namespaces, user {USER}"
 
 
-def supervised(
+def supervisor_command(
     function: str,
     *arguments: Any,
     folder: str,
@@ -70,7 +70,7 @@ def supervised(
     return [sys.executable, "-P", _SUPERVISOR, told]
 
 
-def paths_named(arguments: Sequence[Any]) -> set[str]:
+def paths_in(arguments: Sequence[Any]) -> set[str]:
     """Paths that a question about a dataset names: in its parameters, from the folder told after them, or alone."""
     given = next((place for place, each in enumerate(arguments) if isinstance(each, dict)), None)
     if given is None:
@@ -97,7 +97,7 @@ def _code_elsewhere() -> Iterable[str]:
     yield from (str(path) for finder in finders for path in getattr(finder, "MAPPING", {}).values())
 
 
-def _not_possible(reason: str) -> CodecbenchError:
+def _confinement_error(reason: str) -> CodecbenchError:
     """The error, of the kind that is the machine's and not the user's."""
     error = CodecbenchError(
         f"plugins cannot be confined on {platform.node()}: {reason}; confinement needs Linux 5.12 and user namespaces "

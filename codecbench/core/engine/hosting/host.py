@@ -30,8 +30,8 @@ from codecbench.core.engine.hosting.channel import (
     PluginTimeout,
     SharedMemory,
 )
-from codecbench.core.engine.hosting.confinement import confinement, supervised, wanted
-from codecbench.core.engine.text import ended
+from codecbench.core.engine.hosting.confinement import confinement, is_confinement_requested, supervisor_command
+from codecbench.core.engine.text import describe_exit
 
 __all__ = ["Host", "PluginFault", "PluginLoss", "PluginTimeout"]
 
@@ -79,7 +79,7 @@ class Host:
         self.distribution, self.role, self._limit_s, self._prints = distribution, role, limit_s, prints
         self._process: subprocess.Popen[bytes] | None = None
         self._end: Callable[[], Any] = lambda: None
-        self._channel: _Asking | None = None
+        self._channel: _HostChannel | None = None
         self._lock = threading.Lock()
         self._deadline: float | None = None
         self._late = 0
@@ -98,7 +98,7 @@ class Host:
         held = HeldFolder(FOLDER_PREFIX)
         self._folder = held.path
         folder = str(held.path)
-        if confines := wanted():
+        if confines := is_confinement_requested():
             confinement()
         taken, writes = os.pipe()
         reads, given = os.pipe()
@@ -106,7 +106,7 @@ class Host:
         descriptors = (taken, given, receives.descriptor, sends.descriptor)
         printed = None if self._prints and not confines else subprocess.DEVNULL
         self._process = subprocess.Popen(
-            supervised(
+            supervisor_command(
                 _SERVE,
                 descriptors,
                 self.distribution,
@@ -128,7 +128,7 @@ class Host:
         os.close(taken)
         os.close(given)
         left_running.add(self._process.pid)
-        self._channel = _Asking(self, reads, writes, sends, receives)
+        self._channel = _HostChannel(self, reads, writes, sends, receives)
         self._end = weakref.finalize(self, _end, self._process, (reads, writes), (sends, receives), held)
 
     def ask(
@@ -144,7 +144,7 @@ class Host:
         with self._lock:
             if not self._shows.issuperset(shows):
                 self._shows.update(shows)
-                if wanted():
+                if is_confinement_requested():
                     self.end()
             self.start()
             assert self._channel is not None
@@ -159,7 +159,7 @@ class Host:
         self._process, self._channel, self._end = None, None, lambda: None
 
     @contextmanager
-    def answering(self, channel: _Asking) -> Iterator[None]:
+    def answering(self, channel: _HostChannel) -> Iterator[None]:
         """Until when an answer has to come, and what becomes of this host where none comes."""
         if self._channel is not channel:
             raise PluginLoss("its process has ended")
@@ -202,7 +202,7 @@ class Host:
         assert self._process is not None
         try:
             status = self._process.wait(1.0)
-            loss = PluginLoss(ended(128 - status if status > 128 else status))
+            loss = PluginLoss(describe_exit(128 - status if status > 128 else status))
         except subprocess.TimeoutExpired:
             return PluginLoss("it closed the connection of its process")
         with suppress(OSError), open(self._folder / CRASH_FILE, errors="replace", opener=open_plain) as file:
@@ -211,7 +211,7 @@ class Host:
         return loss
 
 
-class _Asking(Channel):
+class _HostChannel(Channel):
     """The end of a conversation that asks a host."""
 
     def __init__(self, host: Host, reads: int, writes: int, sends: SharedMemory, receives: SharedMemory) -> None:

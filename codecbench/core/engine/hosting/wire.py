@@ -57,7 +57,7 @@ def pack(value: Any, objects: Objects, payload: Payload) -> Any:
             named["facts"] = pack(named["facts"], objects, payload)
         return named
     if issubclass(kind, bytes):
-        return {"bytes": _appended(payload, memoryview(value).tobytes())}  # whatever a subclass says of itself
+        return {"bytes": _append(payload, memoryview(value).tobytes())}  # whatever a subclass says of itself
     if issubclass(kind, enum.Enum) and kind.__module__.startswith(_OURS):
         return {"enum": f"{kind.__module__}:{kind.__qualname__}", "name": value.name}
     for plain, spelled in ((bool, bool), (int, int.__int__), (float, float.__float__), (str, str.__str__)):
@@ -72,7 +72,7 @@ def pack(value: Any, objects: Objects, payload: Payload) -> Any:
     if (record := _record_type(kind)) is not None:
         parts = {name: pack(getattr(value, name), objects, payload) for name in _names(kind)}
         return {"record": record, "fields": parts}
-    array = _packed_array(value, payload)
+    array = _pack_array(value, payload)
     return {"other": kind.__name__} if array is None else array
 
 
@@ -101,20 +101,20 @@ def unpack(value: Any, objects: Objects, memory: memoryview, depth: int = 0) -> 
     if "dict" in value:
         return dict(map(all_of, value["dict"]))
     if "array" in value:
-        return _unpacked_array(value, memory)
+        return _unpack_array(value, memory)
     if "rng" in value:
         return _generator(unpack(value["rng"], objects, memory, depth + 1))
     if "enum" in value:
-        return _class_named(value["enum"], objects, lambda found: issubclass(found, enum.Enum))[value["name"]]
+        return _class_by_name(value["enum"], objects, lambda found: issubclass(found, enum.Enum))[value["name"]]
     if "record" in value:
-        cls = _class_named(value["record"], objects, lambda found: _record_type(found) is not None)
+        cls = _class_by_name(value["record"], objects, lambda found: _record_type(found) is not None)
         return cls(**{name: unpack(item, objects, memory, depth + 1) for name, item in value["fields"].items()})
     if "other" in value:
         return type(str(value["other"])[:100], (), {})()
     raise WireError(f"an object with {', '.join(map(str, value))}")
 
 
-def _appended(payload: Payload, content: bytes | memoryview) -> list[int]:
+def _append(payload: Payload, content: bytes | memoryview) -> list[int]:
     """Where in the payload this begins, and its size."""
     payload.append(content)
     return [sum(map(len, payload)) - len(content), len(content)]
@@ -127,14 +127,14 @@ def _part(memory: memoryview, place: Any) -> memoryview:
     return memory[begin : begin + size]
 
 
-def _packed_array(value: Any, payload: Payload) -> Any:
+def _pack_array(value: Any, payload: Payload) -> Any:
     """An array, number or random generator of NumPy; None for anything else."""
     numpy = sys.modules.get("numpy")  # whoever has an array has loaded it
     if numpy is None:
         return None
     kind = type(value)
     if issubclass(kind, numpy.generic):
-        return _packed_array(numpy.asarray(value), payload) if value.dtype.hasobject else value.item()
+        return _pack_array(numpy.asarray(value), payload) if value.dtype.hasobject else value.item()
     if issubclass(kind, numpy.random.Generator):
         seed, state = value.bit_generator.seed_seq, value.bit_generator.state
         named = {"entropy": seed.entropy, "spawn_key": seed.spawn_key, "n_children_spawned": seed.n_children_spawned}
@@ -145,10 +145,10 @@ def _packed_array(value: Any, payload: Payload) -> Any:
         return {"other": f"{kind.__name__} of dtype {value.dtype}"}
     plain = numpy.array(value, order="C", subok=False, copy=not value.flags.c_contiguous)
     content = memoryview(plain).cast("B") if plain.size else b""
-    return {"array": _appended(payload, content), "dtype": value.dtype.str, "shape": list(value.shape)}
+    return {"array": _append(payload, content), "dtype": value.dtype.str, "shape": list(value.shape)}
 
 
-def _unpacked_array(value: dict[str, Any], memory: memoryview) -> Any:
+def _unpack_array(value: dict[str, Any], memory: memoryview) -> Any:
     import numpy as np
 
     dtype = np.dtype(str(value["dtype"]))
@@ -176,7 +176,7 @@ def _names(kind: Any) -> list[str]:
     return list(kind._fields) if hasattr(kind, "_fields") else [f.name for f in fields(kind) if f.init and f.compare]
 
 
-def _class_named(name: Any, objects: Objects, is_allowed: Callable[[type], bool]) -> Any:
+def _class_by_name(name: Any, objects: Objects, is_allowed: Callable[[type], bool]) -> Any:
     """The class of that name in a module of codecbench; one that is loaded, unless the other side is obeyed."""
     module, _, qualified = str(name).partition(":")
     if objects.obeys and module.startswith(_OURS):

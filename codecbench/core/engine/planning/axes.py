@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, shown
+from codecbench.core.engine.planning.yaml_file import Problems, Where, format_value, plain_value
 
 MOST_SETTINGS: Final = 100_000
 """That one entry of a matrix may stand for."""
@@ -36,7 +36,7 @@ def axes(params: Mapping[str, Any], where: Where, problems: Problems) -> list[Ax
     found = []
     for key, value in params.items():
         place = (*where, key)
-        choices = _axis(value, place, problems) if _is_axis(value) else [(place, plain(value))]
+        choices = _axis(value, place, problems) if _is_axis(value) else [(place, plain_value(value))]
         found.append(Axis(str(key), tuple(choices)))
     count = math.prod(len(axis) for axis in found)
     if count > MOST_SETTINGS:
@@ -55,14 +55,14 @@ def points(spanned: Sequence[Axis]) -> Iterator[Point]:
 def axis_hint(name: str, value: Any) -> str:
     """How an axis is written, where a value that its parameter does not take was meant as one; else empty."""
     if isinstance(value, list):
-        return f"; for a setting of each of these write `{name}: {{grid: {shown(value)}}}`"
+        return f"; for a setting of each of these write `{name}: {{grid: {format_value(value)}}}`"
     if not (isinstance(value, Mapping) and len(value) == 1):
         return ""
     ((word, choices),) = value.items()
     near = difflib.get_close_matches(str(word).lower(), _AXES, n=1)
     if not near or not isinstance(choices, list):
         return ""
-    return f"; did you mean `{name}: {{{near[0]}: {shown(choices)}}}`?"
+    return f"; did you mean `{name}: {{{near[0]}: {format_value(choices)}}}`?"
 
 
 def _is_axis(value: Any) -> bool:
@@ -74,14 +74,14 @@ def _axis(value: Mapping[str, Any], where: Where, problems: Problems) -> list[tu
     ((word, choices),) = value.items()
     place = (*where, word)
     if not isinstance(choices, list) or not choices:
-        problems.add(place, f"must be a list; got {shown(choices)}")
+        problems.add(place, f"must be a list; got {format_value(choices)}")
     elif word == "grid":
-        return [((*place, index), plain(choice)) for index, choice in enumerate(choices)]
+        return [((*place, index), plain_value(choice)) for index, choice in enumerate(choices)]
     else:
-        steps = _steps(plain(choices))
+        steps = _steps(plain_value(choices))
         if steps is None:
             allowed = f"[first, last, step > 0], 1 to {_MOST_STEPS} values"
-            problems.add(place, f"must be {allowed}; got {shown(choices)}")
+            problems.add(place, f"must be {allowed}; got {format_value(choices)}")
         else:
             return [(place, number) for number in steps]
     return []

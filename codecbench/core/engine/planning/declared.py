@@ -22,12 +22,12 @@ _OFFERED: Final = ("compare", "drawing", "marks")
 log = logging.getLogger("codecbench.results")
 
 
-def codec_declared(codec: AnyCodec[Any]) -> dict[str, Any]:
+def codec_declaration(codec: AnyCodec[Any]) -> dict[str, Any]:
     """The meaning of a codec."""
     return {"reference": codec.reference, "stateless": codec.stateless}
 
 
-def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:
+def evaluator_declaration(evaluator: Evaluator[Any]) -> dict[str, Any]:
     """The meaning of an evaluator's setting."""
     return {
         "metrics": [_json(metric) for metric in evaluator.metrics],
@@ -47,7 +47,7 @@ def _json(part: Metric | View) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(part).items()}
 
 
-def read_declared(kind: type[Any], value: dict[str, Any]) -> Any:
+def read_declaration(kind: type[Any], value: dict[str, Any]) -> Any:
     """A metric or view as the plan keeps it; None, with a line in the log, where this version cannot read it."""
     names = {field.name for field in fields(kind)}
     current: dict[str, str] = getattr(kind, "__former_names__", {})

@@ -19,7 +19,7 @@ from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.identity import canonical_json
-from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
+from codecbench.core.engine.planning.declared import codec_declaration, evaluator_declaration
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.yaml_file import suggest
 from codecbench.core.engine.plugins.registry import Registry, installed
@@ -45,12 +45,12 @@ class InvalidParams(Exception):
         for detail in self.details:
             name = ".".join(str(step) for step in detail["loc"])
             unknown = detail["type"] == "extra_forbidden"
-            what = f"unknown; {suggest(name, self.fields)}" if unknown else said_of(detail)
+            what = f"unknown; {suggest(name, self.fields)}" if unknown else error_text(detail)
             wrong.append(f"{name}: {what}" if name else what)
         return "; ".join(wrong)
 
 
-def said_of(detail: Any) -> str:
+def error_text(detail: Any) -> str:
     """One of pydantic's errors in words, with what it got where that is one short value."""
     got = detail.get("input")
     message = str(detail["msg"]).removeprefix("Value error, ")
@@ -97,7 +97,7 @@ def describe(
     """
     asked = repr((kind, name, values, folder))
     if (answer := registry.told.get(asked)) is None:
-        answer = registry.ask(described, kind, name, values, folder, of=[(kind, name)])
+        answer = registry.ask(description_fields, kind, name, values, folder, of=[(kind, name)])
         if registry.find(kind, name).hosted:
             registry.told[asked] = answer
     try:
@@ -111,7 +111,9 @@ def describe(
     return Description(**{**answer, "declared": clean_value(answer.get("declared", {}))})
 
 
-def described(registry: Registry, kind: Kind, name: str, values: dict[str, Any], folder: str | None) -> dict[str, Any]:
+def description_fields(
+    registry: Registry, kind: Kind, name: str, values: dict[str, Any], folder: str | None
+) -> dict[str, Any]:
     """The fields of a Description as JSON types, or `invalid` with pydantic's errors and `fields`."""
     cls = registry.load(kind, name)
     try:
@@ -134,7 +136,7 @@ def described(registry: Registry, kind: Kind, name: str, values: dict[str, Any],
         return {**found, **_evaluator(instance, params)}
     found |= _identities(params, [params.identity()])
     if kind == "codec":
-        found |= {"declared": codec_declared(instance), "channels": _channels(instance)}
+        found |= {"declared": codec_declaration(instance), "channels": _channels(instance)}
     return found
 
 
@@ -146,7 +148,7 @@ def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
         raise PluginError(f"{type(evaluator).__name__}.repeats is {evaluator.repeats}; it is 1 to {_MOST_REPEATS}")
     return {
         **_identities(params, [evaluator.repeat_identity(repeat) for repeat in range(evaluator.repeats)]),
-        "declared": evaluator_declared(evaluator),
+        "declared": evaluator_declaration(evaluator),
         "needs": sorted(evaluator.needs),
         "exclusive": bool(evaluator.exclusive),
         "runs_codec": isinstance(evaluator, CodecEvaluator),
@@ -189,7 +191,7 @@ def _plain(detail: Any) -> dict[str, Any]:
     return {"input": got, **{name: detail.get(name) for name in ("type", "loc", "msg")}}
 
 
-def sequence_described(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
+def describe_sequence(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
     """What a plan keeps of a dataset's sequence, which is opened. Raises DatasetError."""
     sequence = registry.create("dataset", name, params).open()
     if not isinstance(sequence, FrameSequence):

@@ -36,7 +36,7 @@ class Entry:
         return self.description.requires if self.description else {}
 
 
-def distinct(entries: list[Entry]) -> list[Entry]:
+def unique_entries(entries: list[Entry]) -> list[Entry]:
     """The entries without those that validate to a setting that came before, but with all that a search may try."""
     kept: list[Entry] = []
     alike: dict[tuple[Any, ...], list[Entry]] = defaultdict(list)
@@ -52,7 +52,7 @@ def distinct(entries: list[Entry]) -> list[Entry]:
     return kept
 
 
-def labelled(entries: list[Entry]) -> tuple[Entry, ...]:
+def label_entries(entries: list[Entry]) -> tuple[Entry, ...]:
     """Give each setting the label that tells it from the other settings of its plugin.
 
     That of a codec is made of what somebody wrote: what it takes anyway would only make it long.

@@ -16,13 +16,21 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from codecbench.core.contracts.errors import CodecbenchError, MatrixError, Unsupported
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.axes import Point, axes, axis_hint, points
-from codecbench.core.engine.planning.description import InvalidParams, describe, said_of
-from codecbench.core.engine.planning.entry import Entry, distinct, labelled
+from codecbench.core.engine.planning.description import InvalidParams, describe, error_text
+from codecbench.core.engine.planning.entry import Entry, label_entries, unique_entries
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
-from codecbench.core.engine.planning.objective import Objective, UntilSection, decided_objective, require_sources
-from codecbench.core.engine.planning.search import Search, made_searches
+from codecbench.core.engine.planning.objective import Objective, UntilSection, find_decided_objective, require_sources
+from codecbench.core.engine.planning.search import Search, find_searches
 from codecbench.core.engine.planning.search_section import read_search_spec
-from codecbench.core.engine.planning.yaml_file import Problems, Where, load, parsed, plain, shown, suggest
+from codecbench.core.engine.planning.yaml_file import (
+    Problems,
+    Where,
+    format_value,
+    load_yaml,
+    parse_yaml,
+    plain_value,
+    suggest,
+)
 from codecbench.core.engine.plugins.registry import Registry, installed
 
 if TYPE_CHECKING:
@@ -77,8 +85,8 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
     Raises MatrixError that lists every problem as `file:line:column: place: what, allowed, suggestion`.
     """
     path = Path(path)
-    text, root = load(path)
-    return _checked(path, text, root, path.resolve().parent, registry)
+    text, root = load_yaml(path)
+    return _check_matrix(path, text, root, path.resolve().parent, registry)
 
 
 def matrix_from(
@@ -93,29 +101,29 @@ def matrix_from(
         text = content if isinstance(content, str) else json.dumps(content, indent=2, default=os.fspath)
     except TypeError as error:
         raise MatrixError(f"matrix: {error}; a matrix is made of mappings, lists, texts, numbers and paths") from None
-    return _checked(Path("matrix"), text, parsed(text, "matrix"), folder or Path.cwd(), registry)
+    return _check_matrix(Path("matrix"), text, parse_yaml(text, "matrix"), folder or Path.cwd(), registry)
 
 
-def _checked(path: Path, text: str, root: Any, folder: Path, registry: Registry | None) -> Matrix:
+def _check_matrix(path: Path, text: str, root: Any, folder: Path, registry: Registry | None) -> Matrix:
     """The matrix of a parsed text. folder: where paths in it start."""
     problems = Problems(str(path), root)
     reader = _Reader(problems, registry or installed(), folder)
     if not isinstance(root, Mapping):
-        problems.add((), f"a matrix is a mapping with {', '.join(_TOP)}; got {type(plain(root)).__name__}")
+        problems.add((), f"a matrix is a mapping with {', '.join(_TOP)}; got {type(plain_value(root)).__name__}")
         problems.raise_any()
     problems.unknown((), root, _TOP)
     if root.get("version") != VERSION:
-        problems.add(("version",), f"must be {VERSION}; got {plain(root.get('version'))!r}")
-    name = plain(root.get("name", path.stem))
+        problems.add(("version",), f"must be {VERSION}; got {plain_value(root.get('version'))!r}")
+    name = plain_value(root.get("name", path.stem))
     if not (isinstance(name, str) and _NAME.fullmatch(name)):
-        problems.add(("name",), f"{shown(name)} is not made of letters, digits, '.', '_' and '-'")
+        problems.add(("name",), f"{format_value(name)} is not made of letters, digits, '.', '_' and '-'")
     sections = {section: reader.section(section, root.get(section)) for section in _SECTIONS}
     run = reader.run_section(root.get("run") or {})
     anchors = _anchors(root.get("anchors"), sections["codecs"], problems)
     problems.raise_any()
     assert run is not None
-    searches = made_searches(sections["codecs"], sections["evaluators"], problems)
-    until = decided_objective(run[1], root, sections["evaluators"], problems)
+    searches = find_searches(sections["codecs"], sections["evaluators"], problems)
+    until = find_decided_objective(run[1], root, sections["evaluators"], problems)
     require_sources(sections["evaluators"], reader.registry, problems)
     problems.raise_any()
     require_plannable(sections, searches, problems)
@@ -134,30 +142,32 @@ class _Reader:
     def section(self, section: str, items: Any) -> tuple[Entry, ...]:
         kind = _SECTIONS[section]
         if not isinstance(items, list) or not items:
-            got = "nothing" if items is None else shown(items)
+            got = "nothing" if items is None else format_value(items)
             self.problems.add((section,), f"must be a list with at least one {kind}; got {got}")
             return ()
         entries: list[Entry] = []
         for index, item in enumerate(items):
             entries.extend(self.entries(kind, (section, index), item))
-        return labelled(distinct(entries))
+        return label_entries(unique_entries(entries))
 
     def entries(self, kind: Kind, where: Where, item: Any) -> Iterator[Entry]:
         """The settings that one item of a section stands for: one, or as many as its axes span."""
         if isinstance(item, str):
             item = {"use": item}
         if not isinstance(item, Mapping) or not isinstance(item.get("use"), str):
-            self.problems.add(where, f"must be a name or a mapping with `use: NAME`; got {shown(item)}")
+            self.problems.add(where, f"must be a name or a mapping with `use: NAME`; got {format_value(item)}")
             return
         more = {"dataset": ("name",), "codec": ("search", "at")}.get(kind, ())
         self.problems.unknown(where, item, ("use", *more, "params"))
-        name = plain(item.get("name"))
+        name = plain_value(item.get("name"))
         if name is not None and not (isinstance(name, str) and _NAME.fullmatch(name)):
-            self.problems.add((*where, "name"), f"{shown(name)} is not made of letters, digits, '.', '_' and '-'")
+            self.problems.add(
+                (*where, "name"), f"{format_value(name)} is not made of letters, digits, '.', '_' and '-'"
+            )
             return
         params = item.get("params") or {}
         if not isinstance(params, Mapping):
-            self.problems.add((*where, "params"), f"must be a mapping; got {shown(params)}")
+            self.problems.add((*where, "params"), f"must be a mapping; got {format_value(params)}")
             return
         spanned, wanted = axes(params, (*where, "params"), self.problems), None
         if kind == "codec" and ("search" in item or "at" in item):
@@ -178,7 +188,7 @@ class _Reader:
             plugin = self.registry.find(kind, name)
             description = describe(self.registry, kind, name, values, str(self.folder))
         except InvalidParams as invalid:
-            if plugin is not None and plugin.hosted and (fault := _own_fault(invalid, values)):
+            if plugin is not None and plugin.hosted and (fault := _default_fault(invalid, values)):
                 return replace(unusable, missing=f"{plugin.title}: {fault}", faulty=True)
             for detail in invalid.details:
                 self.note(where, point, detail, invalid.fields)
@@ -198,7 +208,7 @@ class _Reader:
         """Translate one of pydantic's errors into a problem at the value that it is about."""
         location = detail["loc"]
         if not location:
-            self.problems.add((*where, "params"), said_of(detail))
+            self.problems.add((*where, "params"), error_text(detail))
         elif detail["type"] == "extra_forbidden" and len(location) == 1:
             self.problems.add((*where, "params", location[0]), f"unknown; {suggest(location[0], fields)}", at_key=True)
         elif detail["type"] == "missing":
@@ -206,13 +216,13 @@ class _Reader:
         else:
             place, value = point.get(location[0], ((*where, "params"), None))
             hint = "" if any(isinstance(part, int) for part in location) else axis_hint(str(location[0]), value)
-            self.problems.add((*place, *location[1:]), said_of(detail) + hint)
+            self.problems.add((*place, *location[1:]), error_text(detail) + hint)
 
     def run_section(self, section: Any) -> tuple[RunSettings, UntilSection | None] | None:
         if not isinstance(section, Mapping):
-            self.problems.add(("run",), f"must be a mapping; got {shown(section)}")
+            self.problems.add(("run",), f"must be a mapping; got {format_value(section)}")
             return None
-        values = plain(section)
+        values = plain_value(section)
         usual = next((plugin.spec.name for plugin in self.registry.plugins("executor")), None)
         executor = list(self.entries("executor", ("run", "executor"), section.get("executor", usual)))
         values.pop("executor", None)
@@ -223,7 +233,7 @@ class _Reader:
             for detail in error.errors():
                 key = detail["loc"][0]
                 unknown = detail["type"] == "extra_forbidden"
-                message = f"unknown; {suggest(str(key), fields)}" if unknown else said_of(detail)
+                message = f"unknown; {suggest(str(key), fields)}" if unknown else error_text(detail)
                 self.problems.add(("run", *detail["loc"]), message, at_key=unknown)
             return None
         if len(executor) != 1:
@@ -241,9 +251,9 @@ def _anchors(items: Any, codecs: tuple[Entry, ...], problems: Problems) -> tuple
     if items is None:
         return None
     if not isinstance(items, list) or not items:
-        problems.add(("anchors",), f"must be a list of codecs; got {shown(items)}")
+        problems.add(("anchors",), f"must be a list of codecs; got {format_value(items)}")
         return None
-    found = [str(plain(item)) for item in items]
+    found = [str(plain_value(item)) for item in items]
     references = {entry.setting.name: entry.description and entry.description.declared for entry in codecs}
     for place, name in enumerate(found):
         if name not in references:
@@ -253,12 +263,12 @@ def _anchors(items: Any, codecs: tuple[Entry, ...], problems: Problems) -> tuple
     return tuple(found)
 
 
-def _own_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
+def _default_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
     """What a plugin does not take though nobody gave it: a default of its own."""
     for detail in invalid.details:
         place = detail["loc"][0] if detail["loc"] else None
         if detail["type"] != "missing" and place not in values and (place is not None or not values):
-            return f"parameter {place}: {said_of(detail)}" if place else said_of(detail)
+            return f"parameter {place}: {error_text(detail)}" if place else error_text(detail)
     return None
 
 

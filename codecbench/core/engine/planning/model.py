@@ -229,8 +229,8 @@ _BODY: Final = TypeAdapter(_PlanBody)
 def plan_from_json(value: dict[str, Any]) -> Plan:
     """The plan that `as_json` wrote, its texts fit to be shown. Raises ValueError or IndexError for anything else."""
     body = _BODY.validate_python(value)
-    sequences = [_shown_sequence(entry) for entry in body.sequences]
-    settings = [_shown(setting) for setting in body.settings]
+    sequences = [_clean_sequence(entry) for entry in body.sequences]
+    settings = [_clean_setting(setting) for setting in body.settings]
     return Plan(
         name=body.name,
         matrix_text=clean_text(body.matrix_text),
@@ -257,12 +257,12 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
     )
 
 
-def _shown_sequence(entry: SequenceEntry) -> SequenceEntry:
+def _clean_sequence(entry: SequenceEntry) -> SequenceEntry:
     notes = tuple(clean_line(note) for note in entry.notes)
-    return replace(entry, name=clean_line(entry.name), dataset=_shown(entry.dataset), notes=notes)
+    return replace(entry, name=clean_line(entry.name), dataset=_clean_setting(entry.dataset), notes=notes)
 
 
-def _shown(setting: PluginSetting) -> PluginSetting:
+def _clean_setting(setting: PluginSetting) -> PluginSetting:
     return replace(setting, name=clean_line(setting.name), label=clean_line(setting.label))
 
 

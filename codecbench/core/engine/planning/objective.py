@@ -12,12 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.metric import AGGREGATES, Metric
-from codecbench.core.engine.planning.declared import read_declared
+from codecbench.core.engine.planning.declared import read_declaration
 from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.search_section import Bound, ObjectiveSection
-from codecbench.core.engine.planning.yaml_file import Problems, Where, plain
+from codecbench.core.engine.planning.yaml_file import Problems, Where, plain_value
 from codecbench.core.engine.plugins.registry import Registry
 
 
@@ -59,7 +59,7 @@ def find_objective(
     section: ObjectiveSection, evaluators: Sequence[Entry], where: Where, problems: Problems
 ) -> Objective | None:
     """Find the metric that a section names among those of the evaluators; None, and a problem, if there is none."""
-    found = list(_meanings(section.metric, evaluators))
+    found = list(_candidates(section.metric, evaluators))
     if len(found) == 1:
         evaluator, metric, stage, how = found[0]
         if how not in metric.aggregates:
@@ -88,10 +88,10 @@ def find_objective(
 def metrics_of(entry: Entry) -> list[Metric]:
     """What an evaluator declares; nothing where it cannot be used here."""
     declared = entry.description.declared.get("metrics", ()) if entry.description else ()
-    return [metric for value in declared if (metric := read_declared(Metric, value)) is not None]
+    return [metric for value in declared if (metric := read_declaration(Metric, value)) is not None]
 
 
-def _meanings(text: str, evaluators: Sequence[Entry]) -> Iterator[tuple[PluginSetting, Metric, str, str]]:
+def _candidates(text: str, evaluators: Sequence[Entry]) -> Iterator[tuple[PluginSetting, Metric, str, str]]:
     """Evaluator, metric, stage and aggregate that a name may mean."""
     for entry in evaluators:
         for metric in metrics_of(entry):
@@ -104,7 +104,7 @@ def _meanings(text: str, evaluators: Sequence[Entry]) -> Iterator[tuple[PluginSe
                 yield entry.setting, metric, stage if how else rest[1:], how or metric.aggregates[0]
 
 
-def sources(quantity: str, evaluators: Sequence[Entry]) -> list[tuple[Entry, Metric]]:
+def metric_sources(quantity: str, evaluators: Sequence[Entry]) -> list[tuple[Entry, Metric]]:
     """The evaluators that measure something and await nothing themselves, each with its metric."""
     found = ((entry, metric) for entry in evaluators if not entry.requires for metric in metrics_of(entry))
     return [(entry, metric) for entry, metric in found if metric.quantity == quantity]
@@ -114,7 +114,7 @@ def require_sources(evaluators: Sequence[Entry], registry: Registry, problems: P
     """Note a problem with every parameter that awaits what none of the evaluators measures, or several do."""
     for entry in evaluators:
         for parameter, quantity in entry.requires.items():
-            found = [source.setting.title for source, _ in sources(quantity, evaluators)]
+            found = [source.setting.title for source, _ in metric_sources(quantity, evaluators)]
             if len(found) == 1:
                 continue
             value, place = entry.setting.params.get(parameter), (*entry.where, "params", parameter)
@@ -122,13 +122,13 @@ def require_sources(evaluators: Sequence[Entry], registry: Registry, problems: P
                 message = f"{value!r} is the time of {quantity}, which several evaluators measure"
                 message += f": {', '.join(found)}; keep one of them, or give milliseconds"
             else:
-                known = " or ".join(_measuring(quantity, registry)) or "one that does"
+                known = " or ".join(_installed_sources(quantity, registry)) or "one that does"
                 message = f"{value!r} is the time of {quantity}, which no evaluator of this matrix measures"
                 message += f"; add {known}, or give milliseconds"
             problems.add(place, message)
 
 
-def _measuring(quantity: str, registry: Registry) -> list[str]:
+def _installed_sources(quantity: str, registry: Registry) -> list[str]:
     """Installed evaluators that measure something with their usual parameters."""
     names = []
     for plugin in registry.plugins("evaluator"):
@@ -136,7 +136,7 @@ def _measuring(quantity: str, registry: Registry) -> list[str]:
             declared = describe(registry, "evaluator", plugin.spec.name, {}).declared
         except (CodecbenchError, InvalidParams):
             continue
-        metrics = (read_declared(Metric, value) for value in declared.get("metrics", ()))
+        metrics = (read_declaration(Metric, value) for value in declared.get("metrics", ()))
         if any(metric is not None and metric.quantity == quantity for metric in metrics):
             names.append(plugin.spec.name)
     return names
@@ -164,7 +164,7 @@ class UntilSection(BaseModel):
         return value
 
 
-def decided_objective(
+def find_decided_objective(
     section: UntilSection | None, root: Any, evaluators: Sequence[Entry], problems: Problems
 ) -> Objective | None:
     """What is to be decided; None where nothing is, or, with a problem, where it cannot be."""
@@ -174,7 +174,7 @@ def decided_objective(
     objective = find_objective(section.decided, evaluators, where, problems)
     if objective is None:
         return None
-    if isinstance(plain(root["run"]["until"]["decided"]), str) and objective.metric.role != "success":
+    if isinstance(plain_value(root["run"]["until"]["decided"]), str) and objective.metric.role != "success":
         message = f"{objective.metric.name} is no success or failure; give it a limit: {{metric: NAME, max: NUMBER}}"
         problems.add(where, message)
         return None

@@ -15,7 +15,7 @@ from codecbench.core.engine.planning.description import (
     Description,
     InvalidParams,
     describe,
-    sequence_described,
+    describe_sequence,
 )
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix
@@ -142,7 +142,7 @@ def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
     entries: dict[str, SequenceEntry] = {}
     for entry in matrix.sequences:
         try:
-            sequence = _opened(entry, registry)
+            sequence = _open_sequence(entry, registry)
         except CodecbenchError as error:
             problems.add(entry.where, str(error))
             continue
@@ -167,33 +167,33 @@ def _reject_duplicate_fingerprints(entries: list[SequenceEntry]) -> list[Sequenc
     return [
         entry
         if owners[entry.fingerprint].dataset.distribution == entry.dataset.distribution
-        else _shut(
+        else _unopened_sequence(
             entry.dataset, f"{entry.dataset.full_name}: its fingerprint is that of {owners[entry.fingerprint].name}"
         )
         for entry in entries
     ]
 
 
-def _shut(dataset: PluginSetting, reason: str) -> SequenceEntry:
+def _unopened_sequence(dataset: PluginSetting, reason: str) -> SequenceEntry:
     """A sequence that its plugin's fault keeps shut."""
     fingerprint = digest(["never opened", dataset.name, dataset.params])
     return SequenceEntry(dataset.name, dataset, fingerprint, 0, 1, False, False, reason)
 
 
-def _opened(entry: Entry, registry: Registry) -> SequenceEntry:
+def _open_sequence(entry: Entry, registry: Registry) -> SequenceEntry:
     """The sequence of an entry, by the name that it has itself; one that its plugin's fault keeps shut says why."""
     setting, missing = entry.setting, entry.missing
     if missing is None:
         try:
             found = registry.ask(
-                sequence_described, setting.name, setting.params, of=[("dataset", setting.name)], times=_OPENING
+                describe_sequence, setting.name, setting.params, of=[("dataset", setting.name)], times=_OPENING
             )
             return SequenceEntry(dataset=setting, **{**found, "notes": tuple(found["notes"])})
         except PluginFault as fault:
             missing = str(fault)
     elif not entry.faulty:
         raise Unsupported(missing)
-    return _shut(setting, missing)
+    return _unopened_sequence(setting, missing)
 
 
 def _codec_side(entry: Entry) -> _Side:
@@ -210,7 +210,7 @@ def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
     missing = entry.missing if description is None else description.missing
     if description is None or missing is not None:
         return _Side(setting, ([setting.name, setting.version, setting.params, 0, []],), None, missing)
-    used = [_used(*use, registry) for use in description.uses]
+    used = [_used_plugin(*use, registry) for use in description.uses]
     identities = [
         [setting.name, setting.version, of_repeat, repeat, [identity for _, identity, _ in used]]
         for repeat, of_repeat in enumerate(description.identities)
@@ -221,7 +221,7 @@ def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
     return _Side(setting, tuple(identities), description, next(reasons, None))
 
 
-def _used(
+def _used_plugin(
     kind: Kind, name: str, params: dict[str, Any], registry: Registry
 ) -> tuple[PluginSetting, list[Any], str | None]:
     """A plugin that an evaluator runs, its identity, which has no version where it is not there, and why not."""

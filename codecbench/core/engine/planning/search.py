@@ -76,7 +76,7 @@ class PlanScope:
         return max(begun, self.repeats.get((sequence, codec, evaluator), 0))
 
 
-def made_searches(codecs: Sequence[Entry], evaluators: Sequence[Entry], problems: Problems) -> tuple[Search, ...]:
+def find_searches(codecs: Sequence[Entry], evaluators: Sequence[Entry], problems: Problems) -> tuple[Search, ...]:
     """The searches of a matrix, their metrics found among what its evaluators declare."""
     members: dict[Where, list[Entry]] = {}
     for entry in codecs:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError, model_validator
 
 from codecbench.core.engine.planning.axes import Axis
-from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, shown
+from codecbench.core.engine.planning.yaml_file import Problems, Where, format_value, plain_value
 
 Bound = Literal["min", "max", "equal"]
 
@@ -66,17 +66,17 @@ def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) 
     if not isinstance(value, Mapping):
         example = "{metric: NAME, min: NUMBER}" if where[-1] != "at" else "{METRIC: NUMBER}"
         example += f", or {PASSES}" if where[-1] == "search" else ""
-        problems.add(where, f"must be a mapping such as {example}; got {plain(value)}")
+        problems.add(where, f"must be a mapping such as {example}; got {plain_value(value)}")
         return None
     problems.unknown(where, value, kind.model_fields)
     if any(key not in kind.model_fields for key in value):
         return None
     try:
-        return kind.model_validate(plain(value))
+        return kind.model_validate(plain_value(value))
     except ValidationError as error:
         for detail in error.errors():
             message = str(detail["msg"]).removeprefix("Value error, ")
-            got = "" if isinstance(detail["input"], Mapping) else f"; got {shown(detail['input'])}"
+            got = "" if isinstance(detail["input"], Mapping) else f"; got {format_value(detail['input'])}"
             known = [part for part in detail["loc"] if part in kind.model_fields]
             problems.add((*where, *known), message + got)
         return None
@@ -91,7 +91,7 @@ def read_search_spec(
     if "search" in item and "at" in item:
         problems.add((*where, "at"), "is short for a search, and there is one; leave out one of the two")
         return None
-    value = _spelled_out(item[word]) if word == "at" else item[word]
+    value = _from_short_form(item[word]) if word == "at" else item[word]
     passes = word == "search" and value == PASSES
     section = None if passes else read_section(SearchSection, value, place, problems)
     varied = tuple(axis for axis in axes if len(axis) > 1)
@@ -109,12 +109,12 @@ def read_search_spec(
     return None if section is None and not passes else SearchSpec(place, section, varied)
 
 
-def _spelled_out(value: Any) -> Any:
+def _from_short_form(value: Any) -> Any:
     """`{rate_bpp: 0.5}` as `{metric: rate_bpp, equal: 0.5}`."""
     if isinstance(value, Mapping) and len(value) == 1:
         ((metric, number),) = value.items()
         return {"metric": metric, "equal": number}
-    return shown(value)
+    return format_value(value)
 
 
 def _require_ordered(axis: Axis, where: Where, problems: Problems) -> None:

@@ -140,7 +140,7 @@ class Problems:
     def add(self, where: Where, message: str, *, at_key: bool = False) -> None:
         """Note a problem with the value at `where`, or with its key."""
         line, column = position(self.root, where, at_key=at_key)
-        self.found.append((line, column, f"{spell(where)}: {message}" if where else message))
+        self.found.append((line, column, f"{format_path(where)}: {message}" if where else message))
 
     def unknown(self, where: Where, given: Iterable[Any], allowed: Iterable[str]) -> None:
         """Note every key of a mapping that is not allowed, with what may have been meant."""
@@ -159,7 +159,7 @@ class Problems:
             raise MatrixError("\n".join(lines))
 
 
-def load(path: Path) -> tuple[str, Any]:
+def load_yaml(path: Path) -> tuple[str, Any]:
     """The text of a YAML file and its content, which remembers positions. Raises MatrixError."""
     try:
         if path.exists() and not path.is_file():
@@ -170,10 +170,10 @@ def load(path: Path) -> tuple[str, Any]:
         raise MatrixError(f"{path}: no such file; codecbench's folder examples/ has matrices to begin with") from None
     except (OSError, UnicodeDecodeError) as error:
         raise MatrixError(f"{path}: cannot be read as UTF-8 text: {error}") from None
-    return text, parsed(text, str(path))
+    return text, parse_yaml(text, str(path))
 
 
-def parsed(text: str, source: str) -> Any:
+def parse_yaml(text: str, source: str) -> Any:
     """The content of a YAML text, which remembers positions. source: what errors call it. Raises MatrixError."""
     try:
         require_bounded(text, source)
@@ -186,7 +186,7 @@ def parsed(text: str, source: str) -> Any:
         raise MatrixError(f"{source}: not valid YAML: {error}") from None
 
 
-def written(root: Any) -> str:
+def yaml_text(root: Any) -> str:
     """The YAML text of a content that `parsed` gave and that was changed, with its comments."""
     stream, writer = StringIO(), YAML(typ="rt")
     writer.width = MOST_CHARACTERS  # lines are not broken
@@ -194,21 +194,21 @@ def written(root: Any) -> str:
     return stream.getvalue()
 
 
-def plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """The value as ordinary dicts, lists and scalars."""
     if isinstance(value, Mapping):
-        return {plain(key): plain(item) for key, item in value.items()}
+        return {plain_value(key): plain_value(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [plain(item) for item in value]
+        return [plain_value(item) for item in value]
     for kind in (bool, int, float, str):
         if isinstance(value, kind):
             return kind(value)
     return value
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """The value as messages spell it: as Python does, and not at length."""
-    text = repr(plain(value))
+    text = repr(plain_value(value))
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
@@ -229,7 +229,7 @@ def position(root: Any, where: Where, *, at_key: bool = False) -> tuple[int, int
     return found
 
 
-def spell(where: Where) -> str:
+def format_path(where: Where) -> str:
     """`codecs[1].params.qf`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in where)
     return text.removeprefix(".")

@@ -17,14 +17,14 @@ def origins() -> list[str]:
 
 def origin_of(point: EntryPoint) -> str:
     """The distribution of an entry point with its version; where it has none, what it names."""
-    return " ".join(_named(point.dist)) if point.dist else point.value
+    return " ".join(_name_and_version(point.dist)) if point.dist else point.value
 
 
 def points_by_origin() -> dict[str, list[EntryPoint]]:
     """The entry points of what is installed: codecbench's own, and those of others by distribution."""
     found: dict[str, list[EntryPoint]] = {}
     for point in _points(tuple(sys.path)):
-        own = point.dist is not None and _named(point.dist)[0] == OURS
+        own = point.dist is not None and _name_and_version(point.dist)[0] == OURS
         found.setdefault(OURS if own else origin_of(point), []).append(point)
     return found
 
@@ -41,7 +41,7 @@ def points_of(origin: str) -> list[EntryPoint]:
 
 
 @functools.cache
-def _named(distribution: Distribution) -> tuple[str, str]:
+def _name_and_version(distribution: Distribution) -> tuple[str, str]:
     """Name and version, for which a file is read and parsed whenever they are asked for."""
     metadata = distribution.metadata
     return metadata["Name"], metadata["Version"]
@@ -53,7 +53,7 @@ def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
     return tuple(entry_points(group=hooks.GROUP))
 
 
-def own_first(point: EntryPoint) -> tuple[bool, str, str]:
+def own_plugins_first(point: EntryPoint) -> tuple[bool, str, str]:
     """Codecbench's own plugins come first, so that nobody can take one of their names."""
-    distribution = _named(point.dist)[0] if point.dist else ""
+    distribution = _name_and_version(point.dist)[0] if point.dist else ""
     return (distribution != OURS, distribution, point.name)

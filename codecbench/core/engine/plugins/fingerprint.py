@@ -55,7 +55,7 @@ def code_digest(code: dict[str, str]) -> str:
 def files_since(plugin: Plugin, time_s: float) -> list[str]:
     """Names of the plugin's files that were written after `time_s`, in seconds since 1970."""
     found = []
-    for path in () if _released(plugin.foreign) else _files(plugin.foreign, _module(plugin)):
+    for path in () if _installed_copy(plugin.foreign) else _files(plugin.foreign, _module(plugin)):
         with suppress(OSError):
             if path.stat().st_mtime > time_s:
                 found.append(path.name)
@@ -64,9 +64,9 @@ def files_since(plugin: Plugin, time_s: float) -> list[str]:
 
 def fingerprint(foreign: str, module: str) -> str:
     """That of the code of a module; empty where it is not found. foreign: its distribution, empty for codecbench."""
-    installed = _released(foreign)
+    installed = _installed_copy(foreign)
     if installed is not None:
-        return digest([installed.version, sorted(_recorded(installed))])[:16]
+        return digest([installed.version, sorted(_record_lines(installed))])[:16]
     content = hashlib.blake2b(digest_size=8)
     found = False
     for path in _files(foreign, module):
@@ -81,7 +81,7 @@ def _module(plugin: Plugin) -> str:
     return plugin.spec.target.partition(":")[0]
 
 
-def _released(foreign: str) -> Distribution | None:
+def _installed_copy(foreign: str) -> Distribution | None:
     """A distribution of others whose files were copied when it was installed; None for all others."""
     if not foreign:
         return None
@@ -92,10 +92,10 @@ def _released(foreign: str) -> Distribution | None:
     with suppress(ValueError, AttributeError):
         if json.loads(found.read_text("direct_url.json") or "{}").get("dir_info", {}).get("editable"):
             return None
-    return found if any(_recorded(found)) else None
+    return found if any(_record_lines(found)) else None
 
 
-def _recorded(installed: Distribution) -> Iterator[str]:
+def _record_lines(installed: Distribution) -> Iterator[str]:
     """Lines of its RECORD, path and hash, of the files of its packages."""
     for line in (installed.read_text("RECORD") or "").splitlines():
         path = line.partition(",")[0].strip('"')
@@ -105,17 +105,17 @@ def _recorded(installed: Distribution) -> Iterator[str]:
 
 def _files(foreign: str, module: str) -> list[Path]:
     """The files that the code of a module is in, in order."""
-    found = _place(module)
+    found = _package_location(module)
     if found is None:
         return []
     place, top = found
     if not foreign:
-        return sorted(_led_to(module, top, _outside_core))
+        return sorted(_imported_files(module, top, _outside_core))
     files = {place} if place.is_file() else set(_files_below(place))
-    return sorted(files if top.name in _SHARED_FOLDERS else files | _led_to(module, top, _outside_codecbench))
+    return sorted(files if top.name in _SHARED_FOLDERS else files | _imported_files(module, top, _outside_codecbench))
 
 
-def _place(module: str) -> tuple[Path, Path] | None:
+def _package_location(module: str) -> tuple[Path, Path] | None:
     """The folder or file of the package that a module is in, the first below those that distributions share, and the
     folder on the path that it was found in."""
     with suppress(IndexError):
@@ -134,7 +134,7 @@ def _files_below(folder: Path) -> Iterator[Path]:
                 yield Path(parent, name)
 
 
-def _led_to(module: str, top: Path, counted: Callable[[Iterable[str]], Iterable[str]]) -> set[Path]:
+def _imported_files(module: str, top: Path, counted: Callable[[Iterable[str]], Iterable[str]]) -> set[Path]:
     """The files of a module, of those in the folder `top` that it leads to, and the data beside them in packages.
 
     counted: which of the names that a module imports count.

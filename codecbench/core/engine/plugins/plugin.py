@@ -48,7 +48,7 @@ class Plugin:
     @property
     def title(self) -> str:
         """The plugin and its distribution, as messages name them."""
-        return f"{spoken(self.kind)} {self.spec.name} of {self.distribution}"
+        return f"{kind_title(self.kind)} {self.spec.name} of {self.distribution}"
 
     @property
     def missing(self) -> str | None:
@@ -58,7 +58,7 @@ class Plugin:
         if absent:
             command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
             return f"{what} {', '.join(absent)}, which is not installed; run: {command}"
-        refused = _refused_versions(self.distribution.partition(" ")[0], self.spec.requires)
+        refused = _unmet_requirements(self.distribution.partition(" ")[0], self.spec.requires)
         if not refused:
             return None
         return (
@@ -82,7 +82,7 @@ class Problem:
         return f"{self.distribution} (entry point {self.entry_point}): {self.reason}"
 
 
-def _refused_versions(distribution: str, libraries: tuple[str, ...]) -> list[str]:
+def _unmet_requirements(distribution: str, libraries: tuple[str, ...]) -> list[str]:
     """Each of these libraries whose installed version is not one that the distribution's metadata asks for."""
     refused = []
     with suppress(importlib.metadata.PackageNotFoundError):  # without metadata nothing is asked for
@@ -101,7 +101,7 @@ def _requirements(distribution: str) -> tuple[Requirement, ...]:
     return tuple(map(Requirement, importlib.metadata.requires(distribution) or ()))
 
 
-def spoken(kind: Kind) -> str:
+def kind_title(kind: Kind) -> str:
     """A kind of plugin as messages name it: `slam_backend` is "slam backend"."""
     return kind.replace("_", " ")
 

@@ -22,7 +22,7 @@ import pluggy
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
-from codecbench.core.engine.hosting.confinement import paths_named
+from codecbench.core.engine.hosting.confinement import paths_in
 from codecbench.core.engine.hosting.host import (
     HOSTED_VARIABLE,
     Host,
@@ -30,12 +30,12 @@ from codecbench.core.engine.hosting.host import (
     PluginLoss,
     PluginTimeout,
 )
-from codecbench.core.engine.plugins.entry_points import origin_of, own_first, points_by_origin
-from codecbench.core.engine.plugins.offers import Offers, asked_offers, remembered_offers
-from codecbench.core.engine.plugins.plugin import OURS, Plugin, Problem, fault_of, load_class, spoken
+from codecbench.core.engine.plugins.entry_points import origin_of, own_plugins_first, points_by_origin
+from codecbench.core.engine.plugins.offers import Offers, ask_offers, cached_offers
+from codecbench.core.engine.plugins.plugin import OURS, Plugin, Problem, fault_of, kind_title, load_class
 from codecbench.core.engine.text import describe_error
 
-_CALLED = "codecbench.core.engine.plugins.serving:called"
+_CALLED = "codecbench.core.engine.plugins.serving:call_function"
 _AT_ONCE = os.cpu_count() or 1
 """So many distributions are asked at once what they offer."""
 _MOST_PLUGINS = 1000
@@ -62,17 +62,17 @@ class Registry:
         self._losses: Counter[str] = Counter()
         self._given_up: dict[str, str] = {}
         self._hosts = {origin: Host(origin) for origin in hosted}
-        known = {origin: remembered_offers(origin, hosted[origin]) for origin in sorted(hosted)}
+        known = {origin: cached_offers(origin, hosted[origin]) for origin in sorted(hosted)}
         asked = [self._hosts[origin] for origin, offers in known.items() if offers is None]
         for host in asked[:_AT_ONCE]:
             host.start()  # while our own are read
-        for point in sorted(points, key=own_first):
+        for point in sorted(points, key=own_plugins_first):
             self._admit(point)
         if asked:
             from concurrent.futures import ThreadPoolExecutor  # which takes some milliseconds
 
             with ThreadPoolExecutor(_AT_ONCE) as pool:
-                answers = pool.map(lambda host: asked_offers(host, hosted[host.distribution]), asked)
+                answers = pool.map(lambda host: ask_offers(host, hosted[host.distribution]), asked)
                 known |= zip((host.distribution for host in asked), answers, strict=True)
         for offers in filter(None, known.values()):
             self._admit_hosted(offers)
@@ -87,7 +87,7 @@ class Registry:
         """The plugin of that name. Raises PluginError with the nearest names where there is none."""
         plugin = self._plugins.get((kind, name))
         if plugin is None:
-            raise PluginError(f"no {spoken(kind)} is called {name!r}; {self.suggestion(kind, name)}")
+            raise PluginError(f"no {kind_title(kind)} is called {name!r}; {self.suggestion(kind, name)}")
         return plugin
 
     def maybe_broken(self, kind: Kind, name: str) -> str | None:
@@ -96,7 +96,7 @@ class Registry:
         names = [plugin.spec.name for plugin in self.plugins(kind)]
         if not nameless or difflib.get_close_matches(name, names, n=1):
             return None
-        return f"no {spoken(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
+        return f"no {kind_title(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
 
     def suggestion(self, kind: Kind, name: str) -> str:
         """What the writer of an unknown name may have meant."""
@@ -144,7 +144,7 @@ class Registry:
             raise PluginFault(self._given_up[title])
         asked = f"{function.__module__}:{function.__qualname__}"
         try:
-            shows = paths_named(arguments) if kind == "dataset" else ()
+            shows = paths_in(arguments) if kind == "dataset" else ()
             return self._hosts[plugin.distribution].ask(_CALLED, asked, *arguments, times=times, shows=shows)
         except PluginFault as fault:
             text = str(fault)
@@ -231,7 +231,7 @@ def installed() -> Registry:
 
 
 @functools.cache
-def own() -> Registry:
+def own_registry() -> Registry:
     """The registry of codecbench's own plugins, read once a process."""
     return Registry(points_by_origin().get(OURS, ()))
 

@@ -60,7 +60,7 @@ def registry() -> Registry:
     return Registry([*points_of(OURS), *points_of(_state["distribution"])])
 
 
-def called(module_function: str, *arguments: Any) -> Any:
+def call_function(module_function: str, *arguments: Any) -> Any:
     """What a function of codecbench, as `module:name`, returns for the registry of this host and arguments, as JSON."""
     module, _, name = module_function.partition(":")
     return json.loads(json.dumps(getattr(importlib.import_module(module), name)(registry(), *arguments)))
@@ -77,12 +77,12 @@ def offers() -> dict[str, Any]:
     return {"plugins": plugins, "problems": [asdict(problem) for problem in found.problems]}
 
 
-def created(kind: Any, name: str, params: dict[str, Any], seed: int) -> Exposed:
+def create_plugin(kind: Any, name: str, params: dict[str, Any], seed: int) -> Exposed:
     """A plugin with these parameters; of a dataset, the sequence, opened. seed: of global generators before that.
 
     Its version, and the code that it is made of, are told with it.
     """
-    start_afresh(seed)
+    seed_generators(seed)
     code = code_of(registry().find(kind, name))
     instance = registry().create(kind, name, params)
     version = instance.version
@@ -98,7 +98,7 @@ def keep_memory() -> None:
         ctypes.CDLL(None).mallopt(setting, _MALLOC_BYTES)
 
 
-def start_afresh(seed: int) -> None:
+def seed_generators(seed: int) -> None:
     """Seed the global generators, so that code of others which draws from them gives the same in every order."""
     import random
 

@@ -58,7 +58,7 @@ def code_notices(plan: Plan, kept: Mapping[str, IndexEntry], store: Store, regis
         for title, what, name in differences[pair]:
             change = changes.setdefault((title, what), _Change(what))
             change.cells.add(cell.id)
-            change.names[_asked(cell, name)] = None
+            change.names[_recompute_name(cell, name)] = None
     lines = [change.line(title) for (title, _), change in changes.items()]
     if unknown:
         lines.append(f"{unknown} kept cell(s) were computed before codecbench recorded the code of plugins; whether it "
@@ -118,7 +118,7 @@ class _Today:
         return self._code[asked]
 
 
-def _asked(cell: Cell, kind: str) -> str:
+def _recompute_name(cell: Cell, kind: str) -> str:
     """The name by which a cell is computed again whose plugin of this kind has changed."""
     if kind == "codec":
         return cell.codec.name

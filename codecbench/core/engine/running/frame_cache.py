@@ -17,7 +17,7 @@ def cache_limit_bytes(memory_mb: int) -> int:
     return min(MOST_BYTES, (memory_mb << 20) // 4)
 
 
-def checked_frame(frame: object, channels: int) -> Frame:
+def check_frame(frame: object, channels: int) -> Frame:
     """`frame` after checking that it is one, with an image of so many channels."""
     if not isinstance(frame, Frame):
         raise DatasetError(f"read returned {type(frame).__name__}; it returns a Frame")
@@ -42,7 +42,7 @@ class FrameCache:
         frames = self._frames.setdefault(sequence.fingerprint, {})
         frame = frames.get(index)
         if frame is None:
-            frame = checked_frame(sequence.read(index), sequence.channels)
+            frame = check_frame(sequence.read(index), sequence.channels)
             if not self._make_room(frame.image.nbytes, sequence.fingerprint):
                 return frame
             frames[index] = frame

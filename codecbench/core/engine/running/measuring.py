@@ -27,7 +27,7 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.hosting.channel import Exposed
 from codecbench.core.engine.planning.model import Cell, PluginSetting
-from codecbench.core.engine.plugins.serving import created, registry
+from codecbench.core.engine.plugins.serving import create_plugin, registry
 from codecbench.core.engine.running.workbench import Plugins
 from codecbench.core.engine.storage.record import RECORD_FILE, SAMPLES_FILE
 from codecbench.core.engine.storage.samples import MeasurementCheck, MeasurementError
@@ -67,12 +67,12 @@ def measure(
         if isinstance(evaluator, CodecEvaluator):
             found = list(check.checked(evaluator.evaluate(subject, sequence, context)))  # type: ignore[arg-type]
         else:
-            found = list(_of_coded(evaluator, subject, context, check, position))  # type: ignore[arg-type]
+            found = list(_measure_coded(evaluator, subject, context, check, position))  # type: ignore[arg-type]
         position.at("artifacts")
         return Measured(tuple(evaluator.metrics), tuple(found), _artifacts(Path(folder)))
 
 
-def _of_coded(
+def _measure_coded(
     evaluator: Evaluator[Any], coded: CodedSequence, context: Context, check: MeasurementCheck, position: Position
 ) -> Iterator[Measurement]:
     """The measurements of an evaluator that looks at coded frames."""
@@ -105,7 +105,7 @@ def _check_name(name: str, is_file: bool = True) -> None:
         raise MeasurementError(f"artifact {name!r} has a name that cannot be printed or is of another folder")
 
 
-def measured_in_host(
+def measure_in_host(
     bench: Plugins,
     cell: Cell,
     subject: CodedSequence | AnyCodec[Any],
@@ -144,7 +144,7 @@ def measure_here(
     position: Position,
 ) -> tuple[tuple[str, str], Measured]:
     """What `measure` says in this host, after the version of the evaluator and its code."""
-    made = created("evaluator", setting.name, setting.params, int(cell.id[:8], 16))
+    made = create_plugin("evaluator", setting.name, setting.params, int(cell.id[:8], 16))
     subject = _own(subject)
     if hasattr(subject, "facts") and "codec" in subject.facts:
         subject.facts["codec"] = _own(subject.facts["codec"])

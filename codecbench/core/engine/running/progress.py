@@ -48,7 +48,7 @@ class Progress:
         return self.elapsed_s / (self.elapsed_s + self.remaining_s) if self.remaining_s else 1.0
 
 
-def measured_words(cell: Cell, record: Record, declared: Mapping[str, Any]) -> str:
+def headline_words(cell: Cell, record: Record, declared: Mapping[str, Any]) -> str:
     """The headlines of a cell, such as `jpeg quality=30: PSNR 30.3 dB, SSIM 0.88`; empty where it has none.
 
     declared: as of a `Plan`.

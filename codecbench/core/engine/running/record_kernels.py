@@ -16,7 +16,7 @@ from codecbench.core.engine.plugins.registry import everything
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
 from codecbench.core.engine.running.work import BITSTREAMS, WorkItem, perform
 from codecbench.core.engine.running.workbench import Workbench
-from codecbench.core.engine.storage.files import write_file
+from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.record import Record
 from codecbench.core.kernels import manifest
 
@@ -47,12 +47,12 @@ def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Pa
 def _perform(plan: Plan, bench: Workbench) -> None:
     coded: dict[str | None, bytes | None] = {None: None}
     for job in plan.jobs:
-        coded[job.id] = _done(WorkItem(job, None, MOST_BYTES), bench).contents[BITSTREAMS]
+        coded[job.id] = _perform_item(WorkItem(job, None, MOST_BYTES), bench).contents[BITSTREAMS]
     for cell in plan.cells:
-        _done(WorkItem(cell, coded[cell.job_id], MOST_BYTES), bench)
+        _perform_item(WorkItem(cell, coded[cell.job_id], MOST_BYTES), bench)
 
 
-def _done(order: WorkItem, bench: Workbench) -> Record:
+def _perform_item(order: WorkItem, bench: Workbench) -> Record:
     """The record of work that was done. Raises RecordingError where it failed."""
     outcome = perform(order, bench)
     if isinstance(outcome, Record) and outcome.status == "ok":

@@ -49,7 +49,7 @@ def resume(plan: Plan, store: Store, registry: Registry, recompute: Iterable[str
     recompute: names of codecs, evaluators and sequences whose cells are not kept; of codecs and sequences the
     bitstreams are not either. Raises ParamsError for a name that the plan does not have.
     """
-    asked = _asked_for(plan, recompute)
+    asked = _requested_by_name(plan, recompute)
     sound, damaged = store.sound_entries(cell.id for cell in plan.cells)
     outdated = outdated_cells(plan, sound, store) | {id_: why for id_, why in asked.items() if id_ in sound}
     for cell_id, reason in damaged.items():
@@ -126,7 +126,7 @@ def _changed_parameter(before: dict[str, Any], setting: PluginSetting) -> str | 
     return None
 
 
-def _asked_for(plan: Plan, recompute: Iterable[str]) -> dict[str, str]:
+def _requested_by_name(plan: Plan, recompute: Iterable[str]) -> dict[str, str]:
     """Why cells and jobs are computed again that were asked for by name, by their ids."""
     asked = {}
     names = set(recompute)

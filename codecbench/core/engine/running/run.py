@@ -11,15 +11,15 @@ from typing import Any
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.executor import Executor, Finished, Status
-from codecbench.core.engine.hosting.confinement import confinement, wanted
+from codecbench.core.engine.hosting.confinement import confinement, is_confinement_requested
 from codecbench.core.engine.planning.estimate import typical_costs_ms
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.plugins.fingerprint import code_label
 from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.engine.running.code_changes import BITSTREAMS_LABEL
-from codecbench.core.engine.running.progress import Pace, Progress, RunSummary, measured_words
+from codecbench.core.engine.running.progress import Pace, Progress, RunSummary, headline_words
 from codecbench.core.engine.running.resume import Resumption, resume
-from codecbench.core.engine.running.run_context import Interruption, logging_to
+from codecbench.core.engine.running.run_context import Interruption, log_to
 from codecbench.core.engine.running.schedule import Schedule, Work
 from codecbench.core.engine.running.warm_up import WarmUp, kernels_to_compile
 from codecbench.core.engine.running.work import BITSTREAMS, outcome_of, prepare_worker, task_of
@@ -57,9 +57,9 @@ def run_plan(
     store = Store(folder)
     setting = plan.run.executor
     registry = registry or installed()
-    with store.locked(), logging_to(store.log_path, log_level), Interruption() as interruption:
+    with store.locked(), log_to(store.log_path, log_level), Interruption() as interruption:
         executor: Executor[Any] = registry.create("executor", setting.name, setting.params)
-        if wanted():
+        if is_confinement_requested():
             confinement()
         found = resume(plan, store, registry, recompute)
         workers, listener = workers or plan.run.workers, listener or (lambda _: None)
@@ -123,8 +123,8 @@ class _Run:
         left = [cell for cell in cells if cell.id not in found.kept]
         todo = [cell for cell in left if cell.unsupported is None]
         frames = {job.id: job.sequence.frames for job in plan.jobs}
-        wanted = {cell.job_id for cell in todo if cell.job_id is not None}
-        coded = {job_id for job_id in wanted if self.store.has_coded(job_id, frames[job_id])}
+        job_ids = {cell.job_id for cell in todo if cell.job_id is not None}
+        coded = {job_id for job_id in job_ids if self.store.has_coded(job_id, frames[job_id])}
         self.schedule = Schedule(plan, todo, coded)
         self.unsupported = [cell for cell in left if cell.unsupported is not None]
         jobs = [job for job in plan.jobs if job.id in self.schedule.needed_jobs]
@@ -273,7 +273,7 @@ class _Run:
                 remaining_s=self.pace.remaining_s(),
                 cell=cell,
                 record=record,
-                measured=measured_words(cell, record, self.plan.declared) if cell and record else "",
+                measured=headline_words(cell, record, self.plan.declared) if cell and record else "",
             )
         )
 

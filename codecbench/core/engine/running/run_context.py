@@ -13,7 +13,7 @@ from typing import Any, Self
 
 
 @contextmanager
-def logging_to(path: Path, level: int) -> Iterator[None]:
+def log_to(path: Path, level: int) -> Iterator[None]:
     """Write what codecbench logs to `path` meanwhile."""
     logger = logging.getLogger("codecbench")
     handler = _LogFile(path, encoding="utf-8")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.executor import Finished, Task
 from codecbench.core.contracts.hooks import KINDS, Kind
-from codecbench.core.engine.hosting.confinement import VARIABLE, wanted
+from codecbench.core.engine.hosting.confinement import VARIABLE, is_confinement_requested
 from codecbench.core.engine.hosting.host import Host
 from codecbench.core.engine.planning.model import Cell, PluginSetting
 from codecbench.core.engine.plugins.registry import Registry
@@ -43,11 +43,11 @@ class WarmUp:
 
     def __init__(
         self,
-        wanted: _Kernels | None = None,
+        origins: _Kernels | None = None,
         needs: Mapping[str, frozenset[Entry]] | None = None,
         out: Path | None = None,
     ) -> None:
-        self._origins, self._needs, self._out = wanted or {}, needs or {}, out
+        self._origins, self._needs, self._out = origins or {}, needs or {}, out
         self._waiting = sorted(self._origins, key=lambda entry: entry.stage > 0)
         self._missing = {entry for entry in self._waiting if entry.stage == 0}
         self._under_way: dict[str, Entry] = {}
@@ -83,7 +83,7 @@ class WarmUp:
         entry = self._waiting.pop(0)
         id_ = f"kernel {entry.kernel} {entry.build} {entry.arguments}"
         self._under_way[id_] = entry
-        return Task(id_, compile_entry, (entry, self._out, self._origins[entry], wanted()))
+        return Task(id_, compile_entry, (entry, self._out, self._origins[entry], is_confinement_requested()))
 
     def took(self, finished: Finished) -> bool:
         """Whether a task that has ended was one of these. However it ended, the run goes on."""
@@ -122,16 +122,16 @@ def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | No
     """
 
     @functools.cache
-    def described(setting: PluginSetting) -> tuple[tuple[str, ...], bool]:
+    def declared(setting: PluginSetting) -> tuple[tuple[str, ...], bool]:
         description = _description(registry, setting.kind, setting.name, setting.params)
         return tuple(description["kernels"]), description["counts"]
 
     @functools.cache
     def listed_for(kind: Kind, name: str, kernels: tuple[str, ...], build: str) -> _Kernels:
-        return missing(registry, [(kind, name, kernel) for kernel in kernels], build, kept=out is not None)
+        return missing_kernels(registry, [(kind, name, kernel) for kernel in kernels], build, kept=out is not None)
 
     def of(*settings: PluginSetting, build: str = "fast") -> _Kernels:
-        found = (listed_for(setting.kind, setting.name, described(setting)[0], build) for setting in settings)
+        found = (listed_for(setting.kind, setting.name, declared(setting)[0], build) for setting in settings)
         return {entry: origin for kernels in found for entry, origin in kernels.items()}
 
     cells = list(cells)
@@ -141,19 +141,19 @@ def kernels_to_compile(cells: Iterable[Cell], registry: Registry, out: Path | No
             of(key[0]),
             of(key[2], *key[2].uses),
             of(key[1]),
-            of(key[1], build="counting") if described(key[2])[1] else {},
+            of(key[1], build="counting") if declared(key[2])[1] else {},
         )
         for key in dict.fromkeys(work.values())
     }
     evaluators = dict.fromkeys(key[2] for key in parts)
-    wanted = _largest_first(kernels[0] for kernels in parts.values())
+    ordered = _largest_first(kernels[0] for kernels in parts.values())
     for evaluator in evaluators:
-        wanted |= _largest_first(kernels[1] for key, kernels in parts.items() if key[2] == evaluator)
-    wanted |= _largest_first(kernels[2] for kernels in parts.values())
-    wanted |= _largest_first(kernels[3] for kernels in parts.values())
+        ordered |= _largest_first(kernels[1] for key, kernels in parts.items() if key[2] == evaluator)
+    ordered |= _largest_first(kernels[2] for kernels in parts.values())
+    ordered |= _largest_first(kernels[3] for kernels in parts.values())
     calls = {key: frozenset(itertools.chain(*kernels)) for key, kernels in parts.items()}
     coding = {cell.job_id: frozenset(itertools.chain(*parts[work[cell.id]][::2])) for cell in cells if cell.job_id}
-    return WarmUp(wanted, {id_: calls[key] for id_, key in work.items()} | coding, out)
+    return WarmUp(ordered, {id_: calls[key] for id_, key in work.items()} | coding, out)
 
 
 def _largest_first(groups: Iterable[_Kernels]) -> _Kernels:
@@ -167,10 +167,10 @@ def all_kernels(registry: Registry, out: Path | None = None) -> WarmUp:
     for plugin in (plugin for kind in KINDS for plugin in registry.plugins(kind)):
         asked = plugin.kind, plugin.spec.name
         names |= {(*asked, kernels): None for kernels in _description(registry, *asked)["kernels"]}
-    return WarmUp(_largest_first([missing(registry, names, "fast", "counting", kept=out is not None)]), out=out)
+    return WarmUp(_largest_first([missing_kernels(registry, names, "fast", "counting", kept=out is not None)]), out=out)
 
 
-def missing(registry: Registry, calls: Collection[_Call], *builds: str, kept: bool = False) -> _Kernels:
+def missing_kernels(registry: Registry, calls: Collection[_Call], *builds: str, kept: bool = False) -> _Kernels:
     """The listed kernels of these calls, in these builds, that the cache does not have.
 
     kept: also those that it has.
@@ -186,7 +186,7 @@ def missing(registry: Registry, calls: Collection[_Call], *builds: str, kept: bo
     for asked, names in by_plugin.items():
         origin = registry.find(*asked).foreign
         try:
-            answer = registry.ask(entries_missing, names, builds, kept, of=[asked])
+            answer = registry.ask(missing_entries, names, builds, kept, of=[asked])
         except CodecbenchError as error:
             log.warning("%s", error)
             continue
@@ -197,7 +197,7 @@ def missing(registry: Registry, calls: Collection[_Call], *builds: str, kept: bo
     return entries
 
 
-def kernels_called(registry: Registry, kind: Kind, name: str, params: dict[str, Any] | None) -> dict[str, Any]:
+def declared_kernels(registry: Registry, kind: Kind, name: str, params: dict[str, Any] | None) -> dict[str, Any]:
     """`kernels`, the packages and modules that a setting names, and `counts`, whether it runs counting builds.
 
     params: None where the class alone is asked.
@@ -207,7 +207,7 @@ def kernels_called(registry: Registry, kind: Kind, name: str, params: dict[str, 
     return {"kernels": [str(kernels) for kernels in getattr(plugin, "kernels", ())], "counts": counts}
 
 
-def entries_missing(_: Registry, names: list[str], builds: list[str], kept: bool) -> dict[str, Any]:
+def missing_entries(_: Registry, names: list[str], builds: list[str], kept: bool) -> dict[str, Any]:
     """As JSON types: `entries` of manifests for these packages that the cache does not have, and `problems`.
 
     kept: also entries that the cache has.
@@ -227,7 +227,7 @@ def entries_missing(_: Registry, names: list[str], builds: list[str], kept: bool
 def _description(registry: Registry, kind: Kind, name: str, params: dict[str, Any] | None = None) -> dict[str, Any]:
     """What `kernels_called` says; nothing, with a line in the log, where the plugin cannot be asked."""
     try:
-        found: dict[str, Any] = registry.ask(kernels_called, kind, name, params, of=[(kind, name)])
+        found: dict[str, Any] = registry.ask(declared_kernels, kind, name, params, of=[(kind, name)])
     except CodecbenchError as error:
         log.info("%s", error)
         return {"kernels": [], "counts": False}

@@ -19,25 +19,25 @@ from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.core.contracts.sequence import FrameSequence
-from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, wanted
+from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, is_confinement_requested
 from codecbench.core.engine.hosting.host import PluginLoss
 from codecbench.core.engine.planning.model import Cell, CodingJob, RunSettings
-from codecbench.core.engine.plugins.serving import keep_memory, start_afresh
+from codecbench.core.engine.plugins.serving import keep_memory, seed_generators
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WRITE, WorkPosition
 from codecbench.core.engine.running.frame_cache import cache_limit_bytes
-from codecbench.core.engine.running.measuring import measure, measured_in_host
+from codecbench.core.engine.running.measuring import measure, measure_in_host
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
 from codecbench.core.engine.storage.aggregate import summarise
+from codecbench.core.engine.storage.atomic import open_whole
 from codecbench.core.engine.storage.bitstream_file import (
     BitstreamDamage,
     BitstreamFile,
     write_bitstreams,
     write_stream,
 )
-from codecbench.core.engine.storage.files import open_whole
 from codecbench.core.engine.storage.record import SAMPLES_FILE, Record, cell_description
 from codecbench.core.engine.storage.samples import parquet_from_samples
 from codecbench.core.engine.storage.store import Store
@@ -87,7 +87,7 @@ def perform(order: WorkItem, bench: Workbench | None = None) -> Record | Bitstre
     """
     begun, started = time.monotonic(), datetime.now(UTC)
     work, bench, position = order.work, bench or _workbench(), WorkPosition(titles=_titles(order.work))
-    start_afresh(_seed(work))
+    seed_generators(_seed(work))
     os.environ[VARIABLE] = "1" if order.confines else "0"
     try:
         do = _encode if isinstance(work, CodingJob) else _evaluate
@@ -114,7 +114,7 @@ def perform(order: WorkItem, bench: Workbench | None = None) -> Record | Bitstre
 
 def _worker(work: Work) -> dict[str, Any]:
     """Where the work was done, and what confined other distributions' code, if anything did."""
-    is_confined = wanted() and any(plugin.distribution for plugin in work.plugins)
+    is_confined = is_confinement_requested() and any(plugin.distribution for plugin in work.plugins)
     return {"host": platform.node(), "pid": os.getpid(), **({"confined": confinement()} if is_confined else {})}
 
 
@@ -199,7 +199,7 @@ def _evaluate(cell: Cell, order: WorkItem, bench: Workbench, position: WorkPosit
     position.at("construct evaluator")
     plugins = DeclaredPlugins(bench, cell)
     measured = (
-        measured_in_host(bench, cell, coded or codec, sequence, plugins, position)
+        measure_in_host(bench, cell, coded or codec, sequence, plugins, position)
         if bench.is_hosted(cell.evaluator)
         else measure(bench.create(cell.evaluator, cell.id), coded or codec, sequence, cell, plugins, position)
     )
@@ -241,7 +241,9 @@ def _libraries(codec: AnyCodec[Any]) -> dict[str, str]:
 
 def task_of(work: Work, settings: RunSettings, store: Store, shares_files: bool) -> Task:
     """A job or cell as a task. shares_files: the executor's workers see the run folder."""
-    order = WorkItem(work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb), wanted())
+    order = WorkItem(
+        work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb), is_confinement_requested()
+    )
     exclusive = isinstance(work, Cell) and work.exclusive
     limits = settings.timeout_s, settings.memory_mb
     return Task(work.id, perform, order, *limits, exclusive)

@@ -13,18 +13,18 @@ from codecbench.core.contracts.errors import DatasetError, PluginError
 from codecbench.core.contracts.executor import PATHS_VARIABLE
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.sequence import FrameSequence
-from codecbench.core.engine.hosting.confinement import paths_named
+from codecbench.core.engine.hosting.confinement import paths_in
 from codecbench.core.engine.hosting.host import Host, Role
 from codecbench.core.engine.hosting.remote import Remote, RemoteCodec
 from codecbench.core.engine.planning.model import Cell, PluginSetting, SequenceEntry
 from codecbench.core.engine.plugins.fingerprint import code_label, code_of
-from codecbench.core.engine.plugins.registry import Registry, own
+from codecbench.core.engine.plugins.registry import Registry, own_registry
 from codecbench.core.engine.running.coding.decoding import SharedPictures
 from codecbench.core.engine.running.frame_cache import CachedSequence, FrameCache
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.environment import describe_environment, environment_id
 
-_CREATED = "codecbench.core.engine.plugins.serving:created"
+_CREATED = "codecbench.core.engine.plugins.serving:create_plugin"
 _ROLES: dict[str, Role] = {"dataset": "read", "codec": "decode"}
 """In which a plugin of a kind is made; all others evaluate."""
 
@@ -93,7 +93,7 @@ class Plugins:
 
     def _made(self, setting: PluginSetting, role: Role, of: str, seed: int) -> Any:
         host = self.host(setting.distribution, role, of)
-        shows = paths_named([setting.params]) if setting.kind == "dataset" else ()
+        shows = paths_in([setting.params]) if setting.kind == "dataset" else ()
         made = host.ask(_CREATED, setting.kind, setting.name, setting.params, seed, shows=shows)
         self.check(setting, made.facts["of_version"], made.facts["code"])
         return made
@@ -114,7 +114,7 @@ class Workbench(Plugins):
     """What a worker keeps between tasks. limit_s, registry: see `Plugins`."""
 
     def __init__(self, limit_s: Callable[[], float] | None = None, registry: Registry | None = None) -> None:
-        super().__init__(registry or own(), limit_s)
+        super().__init__(registry or own_registry(), limit_s)
         self._cache = FrameCache()
         self._pictures = SharedPictures(0)
         self._sequences: dict[str, FrameSequence] = {}
@@ -136,7 +136,7 @@ class Workbench(Plugins):
         """
         source = self._sequences.pop(entry.fingerprint, None)
         if source is None:
-            setting = replace(entry.dataset, params=_located(entry.dataset.params))
+            setting = replace(entry.dataset, params=_translate_paths(entry.dataset.params))
             source = self.create(setting, entry.fingerprint)
             if not self.is_hosted(setting):
                 source = source.open()
@@ -177,7 +177,7 @@ class DeclaredPlugins:
         return self._plugins.registry.create(kind, name, params)
 
 
-def _located(params: dict[str, Any]) -> dict[str, Any]:
+def _translate_paths(params: dict[str, Any]) -> dict[str, Any]:
     """Parameters with paths as this machine knows them."""
     pairs = [pair.split("=", 1) for pair in os.environ.get(PATHS_VARIABLE, "").split(os.pathsep) if "=" in pair]
 

@@ -30,7 +30,8 @@ from typing import Any, BinaryIO
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.engine.identity import DIGEST_BYTES, digest, json_from_bytes
-from codecbench.core.engine.storage.files import open_plain, read_plain, write_file
+from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.plain_file import open_plain, read_plain
 from codecbench.core.engine.text import clean_line
 
 _MAGIC = b"CBBITS\x00\x02"
@@ -73,10 +74,10 @@ def write_bitstreams(stream: BinaryIO, bitstreams: Iterable[bytes], job_id: str)
 
 def write_stream(stream: BinaryIO, packets: Iterable[CodedPacket], job_id: str) -> int:
     """Write a whole file of a job whose codec has memory, as `write_bitstreams` does."""
-    return _write(stream, _STREAM, ((packet.data, _STREAM_ENTRY, _told(packet)) for packet in packets), job_id)
+    return _write(stream, _STREAM, ((packet.data, _STREAM_ENTRY, _stream_fields(packet)) for packet in packets), job_id)
 
 
-def _told(packet: CodedPacket) -> tuple[int, ...]:
+def _stream_fields(packet: CodedPacket) -> tuple[int, ...]:
     recovery = _NO_RECOVERY if packet.recovery_frames is None else packet.recovery_frames
     return packet.frame, packet.after, packet.starts, recovery
 
@@ -115,7 +116,7 @@ class BitstreamFile:
 
     def __init__(self, source: Path | bytes, job_id: str) -> None:
         self._name = str(source) if isinstance(source, Path) else "bitstreams"
-        self._data: bytes | mmap.mmap = _mapped(source) if isinstance(source, Path) else source
+        self._data: bytes | mmap.mmap = _map_file(source) if isinstance(source, Path) else source
         self.is_stream = self._data[: len(_STREAM)] in (_STREAM, _EARLIER_STREAM)
         self._check_owner(job_id)
         self.digest, self._entries = self._read_index()
@@ -183,7 +184,7 @@ def _owner(job_id: str) -> bytes:
     return job_id.encode("ascii").ljust(_ID_BYTES)
 
 
-def _mapped(path: Path) -> bytes | mmap.mmap:
+def _map_file(path: Path) -> bytes | mmap.mmap:
     try:
         with open_plain(path) as stream:
             if os.fstat(stream.fileno()).st_size == 0:

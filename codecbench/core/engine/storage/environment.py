@@ -20,7 +20,8 @@ from typing import Any, Final
 
 from codecbench.core.engine.identity import digest, json_from_bytes
 from codecbench.core.engine.plugins.entry_points import origins
-from codecbench.core.engine.storage.files import read_plain, write_file
+from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.plain_file import read_plain
 from codecbench.core.engine.text import clean_line, clean_value
 
 _DISTRIBUTIONS: Final = (

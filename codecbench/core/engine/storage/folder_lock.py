@@ -15,15 +15,15 @@ from pathlib import Path
 from typing import TextIO
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.storage.files import open_plain
+from codecbench.core.engine.storage.plain_file import open_plain
 from codecbench.core.engine.text import clean_line
 
 
 @contextmanager
-def held(file: Path) -> Iterator[None]:
+def hold_lock(file: Path) -> Iterator[None]:
     """Hold the lock and write in its file who does. Raises StoreError where another process holds it, and OSError."""
     with open(file, "a+", encoding="utf-8", errors="replace") as stream:
-        if not _locked(stream):
+        if not _try_lock(stream):
             stream.seek(0)
             holder = clean_line(stream.read(1000).strip()) or "another process"
             message = f"{file.parent} is in use by {holder}; wait for it to end or choose another folder with --out"
@@ -33,7 +33,7 @@ def held(file: Path) -> Iterator[None]:
         yield
 
 
-def is_held(file: Path) -> bool:
+def is_locked(file: Path) -> bool:
     """Whether a process holds the lock now."""
     try:
         with open_plain(file) as stream:
@@ -45,7 +45,7 @@ def is_held(file: Path) -> bool:
     return False
 
 
-def _locked(stream: TextIO) -> bool:
+def _try_lock(stream: TextIO) -> bool:
     """Lock an open file for this process alone; tries for a moment, for `is_held` may just be looking."""
     for _ in range(4):
         with suppress(BlockingIOError):

@@ -16,7 +16,8 @@ from typing import Any, Final
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.identity import canonical_json, digest, json_from_bytes
 from codecbench.core.engine.planning.model import Plan, plan_from_json
-from codecbench.core.engine.storage.files import open_plain, read_plain, write_file
+from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.plain_file import open_plain, read_plain
 from codecbench.core.engine.text import clean_line, clean_text
 from codecbench.core.kernels.folders import cache_folder
 

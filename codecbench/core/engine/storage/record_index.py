@@ -18,7 +18,8 @@ from pydantic import Strict, TypeAdapter
 
 from codecbench.core.engine.identity import content_digest, json_from_bytes
 from codecbench.core.engine.plugins.fingerprint import code_digest
-from codecbench.core.engine.storage.files import read_plain, write_file
+from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.plain_file import read_plain
 from codecbench.core.engine.storage.record import RECORD_FILE, FileName, Record, settings_digest
 from codecbench.core.engine.text import clean_line
 

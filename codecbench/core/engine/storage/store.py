@@ -22,18 +22,17 @@ from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import Plan
 from codecbench.core.engine.storage import folder_lock
-from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, EncoderNotes
-from codecbench.core.engine.storage.environment import EnvironmentFiles
-from codecbench.core.engine.storage.files import (
+from codecbench.core.engine.storage.atomic import (
     make_folder,
-    read_plain,
-    refuse_links,
     remove_folder,
     sweep,
     sync_file_system,
     write_file,
     write_folder,
 )
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, EncoderNotes
+from codecbench.core.engine.storage.environment import EnvironmentFiles
+from codecbench.core.engine.storage.plain_file import read_plain, refuse_links
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.record import (
     RECORD_FILE,
@@ -77,7 +76,7 @@ class Store:
             with self._writing():
                 make_folder(self.folder, durable=True)
                 self.refuse_links()
-                stack.enter_context(folder_lock.held(self.folder / "lock"))
+                stack.enter_context(folder_lock.hold_lock(self.folder / "lock"))
                 self._tidy()
             yield
             with self._writing():
@@ -89,7 +88,7 @@ class Store:
 
     def in_use(self) -> bool:
         """Whether a process is writing to this folder now."""
-        return folder_lock.is_held(self.folder / "lock")
+        return folder_lock.is_locked(self.folder / "lock")
 
     def write_plan(self, plan: Plan) -> None:
         """Keep the plan and the matrix that it was made of. Raises StoreError where that cannot be written."""

@@ -20,7 +20,7 @@ from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
 from project import SUPPORT
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.storage import files
+from codecbench.core.engine.storage import atomic
 from codecbench.core.engine.storage.record import RecordDamage
 from codecbench.core.engine.storage.store import Store
 
@@ -276,10 +276,10 @@ def test_a_full_disk_ends_the_run_and_loses_nothing(bench: Bench, monkeypatch: p
         return fsync(*arguments)
 
     monkeypatch.setattr("codecbench.core.engine.storage.store._DURABLE_FROM_S", 0.0)
-    monkeypatch.setattr(files.os, "fsync", full)
+    monkeypatch.setattr(atomic.os, "fsync", full)
     with pytest.raises(StoreError, match="No space left on device; all earlier records are kept"):
         bench.run(plan)
-    monkeypatch.setattr(files.os, "fsync", fsync)
+    monkeypatch.setattr(atomic.os, "fsync", fsync)
     assert not list((bench.folder / "run").rglob(".new-*"))
     again = bench.run(plan)
     assert (again.kept, again.statuses) == (3, {"ok": 6})

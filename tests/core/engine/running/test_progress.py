@@ -8,7 +8,7 @@ import pytest
 
 from codecbench.core.engine.planning.estimate import START_S, TYPICAL_CELL_S
 from codecbench.core.engine.planning.model import Cell, CodingJob, PluginSetting, SequenceEntry
-from codecbench.core.engine.running.progress import Pace, Progress, measured_words
+from codecbench.core.engine.running.progress import Pace, Progress, headline_words
 from codecbench.core.engine.storage.record import Record
 
 COSTS_S = {"raw": 0.5, "slow": 20.0}
@@ -31,8 +31,8 @@ def test_what_a_cell_measured_is_its_headlines_in_the_units_that_people_are_show
     }
     summaries = {("error_m", "", "mean"): 0.01234, ("share", "", "mean"): 0.9, ("infinite", "", "mean"): float("inf")}
     of, record = cell(5, "raw", "tracking"), Record("id", "ok", summaries={**summaries, ("detail", "", "mean"): 1.0})
-    assert measured_words(of, record, declared) == "raw: error 1.23 cm, tracked 0.9"
-    assert measured_words(of, record, {}) == ""
+    assert headline_words(of, record, declared) == "raw: error 1.23 cm, tracked 0.9"
+    assert headline_words(of, record, {}) == ""
 
 
 def sequence(frames: int) -> SequenceEntry:

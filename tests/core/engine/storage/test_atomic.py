@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from codecbench.core.engine.storage import files
-from codecbench.core.engine.storage.files import (
+from codecbench.core.engine.storage import atomic
+from codecbench.core.engine.storage.atomic import (
     make_folder,
     open_whole,
     remove_folder,
@@ -156,7 +156,7 @@ def test_a_folder_that_cannot_be_written_leaves_what_was_there(tmp_path: Path) -
 def test_a_folder_goes_in_one_step_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_folder(tmp_path / "folder", {"a": b"1", "b": b"2"})
     seen: list[bool] = []
-    monkeypatch.setattr(files.shutil, "rmtree", lambda *_, **__: seen.append((tmp_path / "folder").exists()))
+    monkeypatch.setattr(atomic.shutil, "rmtree", lambda *_, **__: seen.append((tmp_path / "folder").exists()))
     remove_folder(tmp_path / "folder")
     assert seen == [False]
     (rest,) = tmp_path.iterdir()
@@ -196,7 +196,7 @@ def test_handles_are_given_back(tmp_path: Path) -> None:
 
 
 def test_a_sync_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "_opened", lambda folder: nullcontext(-1))
+    monkeypatch.setattr(atomic, "_folder_descriptor", lambda folder: nullcontext(-1))
     with pytest.raises(OSError, match="Bad file descriptor") as caught:
         sync_file_system(tmp_path)
     assert (caught.value.errno, caught.value.filename) == (errno.EBADF, str(tmp_path))

@@ -18,7 +18,7 @@ from codecbench.core.engine.running.coding.decoding import (
     SharedPictures,
     ShuffledPictures,
     StreamPictures,
-    checked_decoding,
+    check_decoding,
 )
 from codecbench.core.engine.running.coding.encoding import CheckedEncoder
 from codecbench.core.engine.running.coding.feature_decoding import StreamFeatures
@@ -144,7 +144,7 @@ class CodedFrames:
             return self._stream.picture(index, original)
         if self._shuffled is not None:
             return self._shuffled.picture(index, original)
-        return checked_decoding(self.codec.decode(bitstream), original)
+        return check_decoding(self.codec.decode(bitstream), original)
 
 
 class StoredSender:

@@ -26,13 +26,13 @@ KEPT_BYTES: Final = 64 << 20
 """Of decoded pictures that are kept for who looks back a little: 72 colour frames of 640x480."""
 
 
-def together(size_bytes: int) -> int:
+def batch_size(size_bytes: int) -> int:
     """How many frames of this size go to a host, or come, at once: to wait for each would take longer, and pages of
     memory that nobody has used before do for many."""
     return min(max(_TOGETHER_BYTES // size_bytes, _TOGETHER.start), _TOGETHER.stop - 1)
 
 
-def until_one_fails(codec: AnyCodec[Any], verb: str, given: list[Any]) -> list[Any]:
+def map_until_failure(codec: AnyCodec[Any], verb: str, given: list[Any]) -> list[Any]:
     """What `encode` gives of single images, or `decode` of bitstreams, up to the first that fails; for the process that
     does it, because to hand over each alone can take as long as to code it."""
     found: list[Any] = []
@@ -182,7 +182,7 @@ class ShuffledPictures:
         self._position.at("decode", frame)
         if isinstance(found, BaseException):
             raise found
-        image = checked_decoding(found, original)
+        image = check_decoding(found, original)
         if frame not in self._asked:
             self._asked.add(frame)
             place = len(self._chosen) if len(self._chosen) < _CHECKED else self._chance.randrange(len(self._asked))
@@ -207,7 +207,7 @@ class ShuffledPictures:
 
     def _around(self, frame: int, size_bytes: int) -> list[int]:
         """A frame and some of its neighbors in an order of chance."""
-        count = together(size_bytes)
+        count = batch_size(size_bytes)
         begin = frame // count * count
         frames = list(range(begin, min(begin + count, self._frames)))
         self._chance.shuffle(frames)
@@ -218,7 +218,7 @@ class ShuffledPictures:
         bitstreams = {index: self._read(index) for index in left}
         while left:
             self._position.at("decode")
-            pictures = self._codec.at_decoder(until_one_fails, "decode", [bitstreams[index] for index in left])
+            pictures = self._codec.at_decoder(map_until_failure, "decode", [bitstreams[index] for index in left])
             self._ready |= zip(left, pictures, strict=False)
             if failed := left[len(pictures) :][:1]:
                 self._position.at("decode", *failed)
@@ -265,11 +265,11 @@ class CheckedDecoder:
             if picture.state != "whole":
                 raise CodingError(f"the decoder says that frame {frame} is {picture.state}, though nothing was lost")
             self.given.add(frame)
-            found[frame] = checked_decoding(picture.image, original).copy()  # decoders go on writing into theirs
+            found[frame] = check_decoding(picture.image, original).copy()  # decoders go on writing into theirs
         return found
 
 
-def checked_decoding(decoded: object, original: Image) -> Image:
+def check_decoding(decoded: object, original: Image) -> Image:
     """`decoded` as a contiguous image that can be written, after checking type, dtype and shape against the frame's."""
     if not isinstance(decoded, np.ndarray):
         raise CodingError(f"decode returned {type(decoded).__name__}; a decoded frame is a numpy array")

@@ -10,7 +10,7 @@ from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.stream import Packet, is_recovery
 from codecbench.core.engine.hosting.remote import RemoteCodec
-from codecbench.core.engine.running.coding.decoding import together, until_one_fails
+from codecbench.core.engine.running.coding.decoding import batch_size, map_until_failure
 from codecbench.core.engine.running.coding.position import WRITE, CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
@@ -29,7 +29,7 @@ def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: Wor
             images, ahead = _read(sequence, index, position, alone=not is_hosted), {}
             if is_hosted:
                 position.at("encode", index if len(images) == 1 else None)
-                ahead = dict(enumerate(codec.at_encoder(until_one_fails, "encode", [*images.values()]), index))
+                ahead = dict(enumerate(codec.at_encoder(map_until_failure, "encode", [*images.values()]), index))
         position.at("encode", index)
         packets = encoder.push(images[index], ahead.get(index))
         position.at(WRITE, index)
@@ -46,7 +46,7 @@ def _read(sequence: FrameSequence, begin: int, position: WorkPosition, *, alone:
     for index in range(begin, len(sequence)):
         position.at("read", index)
         images[index] = sequence.read(index).image
-        if alone or len(images) == together(images[begin].nbytes):
+        if alone or len(images) == batch_size(images[begin].nbytes):
             break
     return images
 

@@ -7,17 +7,13 @@ cut; it takes milliseconds. What is not may be lost or damaged by one until `syn
 from __future__ import annotations
 
 import ctypes
-import errno
 import os
 import shutil
-import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final
-
-from codecbench.core.contracts.errors import StoreError
 
 _libc: Final = ctypes.CDLL(None, use_errno=True)
 
@@ -85,7 +81,7 @@ def write_folder(path: Path, contents: Mapping[str, bytes], *, durable: bool = F
 
     A reader sees the old folder, none or the new one, never a mixture. Raises OSError like `write_file`.
     """
-    with whole_folder(path, durable=durable) as new:
+    with open_whole_folder(path, durable=durable) as new:
         for name, content in contents.items():
             _write_plain(new / name, content, durable)
         if durable:
@@ -95,7 +91,7 @@ def write_folder(path: Path, contents: Mapping[str, bytes], *, durable: bool = F
 
 
 @contextmanager
-def whole_folder(path: Path, *, durable: bool = False) -> Iterator[Path]:
+def open_whole_folder(path: Path, *, durable: bool = False) -> Iterator[Path]:
     """A folder to fill that appears at `path`, which is not there by then, when the block ends well; or not at all.
 
     What the block puts into it is made durable by the block. Raises OSError.
@@ -144,59 +140,20 @@ def sync_file_system(folder: Path) -> None:
 
     For many small files this is faster by orders of magnitude than waiting for each. Raises OSError.
     """
-    with _opened(folder) as handle:
+    with _folder_descriptor(folder) as handle:
         if _libc.syncfs(handle) != 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(folder))
 
 
 def _sync_folder(folder: Path) -> None:
-    with _opened(folder) as handle:
+    with _folder_descriptor(folder) as handle:
         os.fsync(handle)
 
 
 @contextmanager
-def _opened(folder: Path) -> Iterator[int]:
+def _folder_descriptor(folder: Path) -> Iterator[int]:
     handle = os.open(folder, os.O_RDONLY)
     try:
         yield handle
     finally:
         os.close(handle)
-
-
-def open_plain(path: str | Path) -> BinaryIO:
-    """Open a plain file to read. Raises OSError as `open` does, and for links, folders, pipes and devices."""
-    try:
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError as error:
-        if error.errno == errno.ELOOP:
-            raise OSError(errno.ELOOP, "it is a link", str(path)) from None
-        raise
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
-        os.close(handle)
-        raise OSError(errno.EINVAL, "it is not a plain file", str(path))
-    return os.fdopen(handle, "rb", buffering=0)
-
-
-def read_plain(path: str | Path) -> bytes:
-    """The content of a plain file. Raises OSError like `open_plain`."""
-    with open_plain(path) as stream:
-        return stream.read()
-
-
-def refuse_links(folder: Path, depth: int, home: Path | None = None) -> None:
-    """Raise StoreError where something below `folder`, down to `depth` levels, is a link that leads out of `home`.
-
-    home: by default, the folder itself.
-    """
-    home = home or folder.resolve()
-    try:
-        entries = list(os.scandir(folder))
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    for entry in entries:
-        if entry.is_symlink() and not Path(entry.path).resolve().is_relative_to(home):
-            target = os.readlink(entry.path)
-            message = f"{entry.path} is a link to {target}, out of the run folder; links are not followed out of it"
-            raise StoreError(f"{message}: put a file or folder of its own there, or remove it")
-        if depth > 1 and entry.is_dir(follow_symlinks=False):
-            refuse_links(Path(entry.path), depth - 1, home)
