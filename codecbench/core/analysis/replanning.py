@@ -52,7 +52,7 @@ def replan(original: Plan, cells: Sequence[Cell], sequences_from: str | None, re
     inputs = {(cell.sequence.name, cell.codec, cell.evaluator.title): cell.inputs for cell in cells if cell.inputs}
     extent = PlanScope(inputs=dict(inputs))
     plan = (
-        make_plan(matrix, registry, extent=extent, sequences=sequences)
+        make_plan(matrix, registry, scope=extent, sequences=sequences)
         if sequences
         else replace(original, jobs=(), cells=())
     )

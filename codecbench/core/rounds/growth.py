@@ -61,7 +61,7 @@ class Growth:
 
     def first_plan(self) -> Plan:
         """The plan of a run that begins or goes on."""
-        return self(make_plan(self._matrix, self._registry, extent=PlanScope(begun=self._initial_repeats)))
+        return self(make_plan(self._matrix, self._registry, scope=PlanScope(begun=self._initial_repeats)))
 
     def __call__(self, plan: Plan) -> Plan:
         """Add all cells that can be computed by now; return the plan itself if there are none.
@@ -94,7 +94,7 @@ class Growth:
         while True:
             run = read_run(self._store, self._deciding_part(plan), self._registry)
             extent, findings = self._next_scope(run, searches)
-            grown = make_plan(self._matrix, self._registry, extent=extent, sequences=plan.sequences)
+            grown = make_plan(self._matrix, self._registry, scope=extent, sequences=plan.sequences)
             grown = replace(grown, searches=tuple(findings))
             known = {cell.id for cell in plan.cells}
             more = [cell.id for cell in grown.cells if cell.id not in known]
@@ -120,7 +120,7 @@ class Growth:
         """The scope of the next plan, and the findings of searches, of which the first `searches` may go on."""
         matrix, trials = self._matrix, Trials(run, self._totals)
         findings: list[SearchFinding] = []
-        settings = [entry.setting for entry in matrix.codecs if entry.wanted is None]
+        settings = [entry.setting for entry in matrix.codecs if entry.search is None]
         always = [(sequence.name, setting) for sequence in run.plan.sequences for setting in settings]
         chosen: list[tuple[str, PluginSetting]] = []
         names = [sequence.name for sequence in run.plan.sequences]

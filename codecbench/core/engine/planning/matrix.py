@@ -1,4 +1,4 @@
-"""The matrix file: which sequences, codecs and evaluators meet, validated as a whole before anything runs."""
+"""Read the matrix file, which crosses sequences, codecs and evaluators, and validate all of it before anything runs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -33,9 +33,6 @@ from codecbench.core.engine.planning.yaml_file import (
 )
 from codecbench.core.engine.plugins.registry import Registry, installed
 
-if TYPE_CHECKING:
-    from codecbench.core.engine.planning.entry import Entry
-
 VERSION = 1
 _SECTIONS: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
 _TOP = ("version", "name", *_SECTIONS, "anchors", "run")
@@ -56,26 +53,25 @@ class RunSection(BaseModel):
 
 @dataclass(frozen=True)
 class Matrix:
-    """A matrix file whose every name and parameter has been checked.
-
-    codecs: also all settings that the searches may try. until: what is to be decided by adding repeats. anchors: codecs
-    that rates are compared with; None for those that declare themselves one.
-    """
+    """A matrix file with every name and parameter checked."""
 
     path: Path
     text: str
     name: str
     sequences: tuple[Entry, ...]
     codecs: tuple[Entry, ...]
+    """Entries of the file, and all settings that the searches may try."""
     evaluators: tuple[Entry, ...]
     run: RunSettings
     root: Any
     searches: tuple[Search, ...] = ()
     until: Objective | None = None
+    """What is to be decided by adding repeats."""
     anchors: tuple[str, ...] | None = None
+    """Codecs that rates are compared with; None for those that declare themselves anchors."""
 
     def problems(self) -> Problems:
-        """An empty list of problems of this file, for checks that need more than the file."""
+        """Return an empty list of problems of this file, for checks that need more than the file."""
         return Problems(str(self.path), self.root)
 
 
@@ -92,10 +88,10 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
 def matrix_from(
     content: str | Mapping[str, Any], registry: Registry | None = None, folder: Path | None = None
 ) -> Matrix:
-    """Check a matrix that is no file: its YAML text, or a mapping of JSON types and paths.
+    """Check a matrix that is not a file: YAML text, or a mapping of JSON types and paths.
 
-    folder: where paths in it start, by default here. Raises MatrixError as `read_matrix` does, with lines of the text,
-    or of the mapping as JSON.
+    folder: base of relative paths, by default the working directory. Raises MatrixError as `read_matrix` does, with
+    lines of the text, or of the mapping as JSON.
     """
     try:
         text = content if isinstance(content, str) else json.dumps(content, indent=2, default=os.fspath)
@@ -105,7 +101,7 @@ def matrix_from(
 
 
 def _check_matrix(path: Path, text: str, root: Any, folder: Path, registry: Registry | None) -> Matrix:
-    """The matrix of a parsed text. folder: where paths in it start."""
+    """Check the matrix of a parsed text. folder: base of relative paths."""
     problems = Problems(str(path), root)
     reader = _Reader(problems, registry or installed(), folder)
     if not isinstance(root, Mapping):
@@ -132,7 +128,7 @@ def _check_matrix(path: Path, text: str, root: Any, folder: Path, registry: Regi
 
 
 class _Reader:
-    """Reads sections, noting every problem and going on."""
+    """Reads sections; notes every problem and continues."""
 
     def __init__(self, problems: Problems, registry: Registry, folder: Path) -> None:
         self.problems = problems
@@ -151,7 +147,7 @@ class _Reader:
         return label_entries(unique_entries(entries))
 
     def entries(self, kind: Kind, where: Where, item: Any) -> Iterator[Entry]:
-        """The settings that one item of a section stands for: one, or as many as its axes span."""
+        """Yield the settings that one item of a section spans."""
         if isinstance(item, str):
             item = {"use": item}
         if not isinstance(item, Mapping) or not isinstance(item.get("use"), str):
@@ -178,7 +174,7 @@ class _Reader:
                 yield replace(entry, name=name, wanted=wanted)
 
     def entry(self, kind: Kind, where: Where, name: str, point: Point) -> Entry | None:
-        """One validated setting, or None after noting what is wrong with it."""
+        """Return one validated setting, or None after noting what is wrong with it."""
         values = {key: value for key, (_, value) in point.items()}
         written = frozenset(values)
         unusable, plugin = Entry(where, PluginSetting(kind, name, "", values), written), None
@@ -205,7 +201,7 @@ class _Reader:
         return Entry(where, setting, written, description=description)
 
     def note(self, where: Where, point: Point, detail: Any, fields: list[str]) -> None:
-        """Translate one of pydantic's errors into a problem at the value that it is about."""
+        """Turn one of pydantic's errors into a problem at the value that it is about."""
         location = detail["loc"]
         if not location:
             self.problems.add((*where, "params"), error_text(detail))
@@ -223,8 +219,8 @@ class _Reader:
             self.problems.add(("run",), f"must be a mapping; got {format_value(section)}")
             return None
         values = plain_value(section)
-        usual = next((plugin.spec.name for plugin in self.registry.plugins("executor")), None)
-        executor = list(self.entries("executor", ("run", "executor"), section.get("executor", usual)))
+        default = next((plugin.spec.name for plugin in self.registry.plugins("executor")), None)
+        executor = list(self.entries("executor", ("run", "executor"), section.get("executor", default)))
         values.pop("executor", None)
         try:
             run = RunSection.model_validate(values)
@@ -247,28 +243,28 @@ class _Reader:
 
 
 def _anchors(items: Any, codecs: tuple[Entry, ...], problems: Problems) -> tuple[str, ...] | None:
-    """The codecs to compare rates with, each of them in the matrix and no baseline; None where not said."""
+    """Return the codecs to compare rates with, each in the matrix and no baseline; None if the file names none."""
     if items is None:
         return None
     if not isinstance(items, list) or not items:
         problems.add(("anchors",), f"must be a list of codecs; got {format_value(items)}")
         return None
-    found = [str(plain_value(item)) for item in items]
+    names = [str(plain_value(item)) for item in items]
     references = {entry.setting.name: entry.description and entry.description.declared for entry in codecs}
-    for place, name in enumerate(found):
+    for place, name in enumerate(names):
         if name not in references:
             problems.add(("anchors", place), f"{name!r} is no codec of this matrix; {suggest(name, list(references))}")
         elif (references[name] or {}).get("reference") == "baseline":
             problems.add(("anchors", place), f"{name} is the baseline, which has no curve to compare with")
-    return tuple(found)
+    return tuple(names)
 
 
 def _default_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
-    """What a plugin does not take though nobody gave it: a default of its own."""
+    """Describe a default value that its own plugin rejects, or return None."""
     for detail in invalid.details:
-        place = detail["loc"][0] if detail["loc"] else None
-        if detail["type"] != "missing" and place not in values and (place is not None or not values):
-            return f"parameter {place}: {error_text(detail)}" if place else error_text(detail)
+        name = detail["loc"][0] if detail["loc"] else None
+        if detail["type"] != "missing" and name not in values and (name is not None or not values):
+            return f"parameter {name}: {error_text(detail)}" if name else error_text(detail)
     return None
 
 
@@ -278,7 +274,7 @@ _MOST_CELLS: Final = 1_000_000
 def require_plannable(
     sections: Mapping[str, tuple[Entry, ...]], searches: tuple[Search, ...], problems: Problems
 ) -> None:
-    """Raise MatrixError for more cells than can be planned: the sections meet each other."""
+    """Raise MatrixError if crossing the sections gives more cells than can be planned."""
     counts = {section: len(entries) for section, entries in sections.items()}
     counts["codecs"] = sum(entry.wanted is None for entry in sections["codecs"])
     counts["codecs"] += sum(min(search.budget, len(search.settings)) for search in searches)

@@ -1,4 +1,4 @@
-"""Aims: a declared metric of an evaluator, and the value that it is to have."""
+"""Resolve the metrics that a matrix names: objectives, the stopping rule of repeats, and inputs of evaluators."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from codecbench.core.engine.plugins.registry import Registry
 
 @dataclass(frozen=True)
 class Objective:
-    """An aggregate of a metric of an evaluator's setting, and the value that it is to have."""
+    """An aggregate of a metric of an evaluator's setting, and its target value."""
 
     evaluator: PluginSetting
     metric: Metric
@@ -33,11 +33,11 @@ class Objective:
     value: float
 
     def met_by(self, value: float) -> bool:
-        """Whether a value will do; NaN never does."""
+        """Whether a value meets the objective; NaN never does."""
         return value >= self.value if self.bound == "min" else value <= self.value
 
     def distance(self, value: float) -> float:
-        """How far a value is from the objective: a difference, or that of logarithms on a logarithmic scale."""
+        """Return a value's distance from the target: a difference, of logarithms if the metric's scale is "log"."""
         if math.isnan(value):
             return math.inf
         if self.metric.scale == "log" and min(value, self.value) > 0:
@@ -50,7 +50,7 @@ class Objective:
 
     @property
     def name(self) -> str:
-        """The metric with what distinguishes it: its stage, and its aggregate where that is not the usual one."""
+        """The metric with its stage, and with its aggregate if that is not the default one."""
         parts = [self.metric.name, self.stage, "" if self.aggregate == self.metric.aggregates[0] else self.aggregate]
         return ".".join(filter(None, parts))
 
@@ -58,19 +58,19 @@ class Objective:
 def find_objective(
     section: ObjectiveSection, evaluators: Sequence[Entry], where: Where, problems: Problems
 ) -> Objective | None:
-    """Find the metric that a section names among those of the evaluators; None, and a problem, if there is none."""
-    found = list(_candidates(section.metric, evaluators))
-    if len(found) == 1:
-        evaluator, metric, stage, how = found[0]
-        if how not in metric.aggregates:
-            message = f"{metric.name} is not summarised as {how}; it is as {', '.join(metric.aggregates)}"
+    """Find the metric that a section names among the evaluators'; if there is none, note a problem and return None."""
+    candidates = list(_candidates(section.metric, evaluators))
+    if len(candidates) == 1:
+        evaluator, metric, stage, aggregate = candidates[0]
+        if aggregate not in metric.aggregates:
+            message = f"{metric.name} is not summarised as {aggregate}; it is as {', '.join(metric.aggregates)}"
             problems.add((*where, "metric"), message)
             return None
         bound = section.bound
-        return Objective(evaluator, metric, stage, how, bound, float(getattr(section, bound)))
+        return Objective(evaluator, metric, stage, aggregate, bound, float(getattr(section, bound)))
     place = (*where, "metric")
-    if found:
-        names = ", ".join(f"{evaluator.title}.{section.metric}" for evaluator, *_ in found)
+    if candidates:
+        names = ", ".join(f"{evaluator.title}.{section.metric}" for evaluator, *_ in candidates)
         problems.add(place, f"several evaluators measure {section.metric!r}; say which: {names}")
         return None
     if any(entry.description is None for entry in evaluators):
@@ -86,50 +86,50 @@ def find_objective(
 
 
 def metrics_of(entry: Entry) -> list[Metric]:
-    """What an evaluator declares; nothing where it cannot be used here."""
+    """Return the metrics that an evaluator declares; empty if it cannot be used here."""
     declared = entry.description.declared.get("metrics", ()) if entry.description else ()
     return [metric for value in declared if (metric := read_declaration(Metric, value)) is not None]
 
 
 def _candidates(text: str, evaluators: Sequence[Entry]) -> Iterator[tuple[PluginSetting, Metric, str, str]]:
-    """Evaluator, metric, stage and aggregate that a name may mean."""
+    """Yield each evaluator, metric, stage and aggregate that a name may refer to."""
     for entry in evaluators:
         for metric in metrics_of(entry):
             for name in (metric.name, f"{entry.setting.title}.{metric.name}"):
                 rest = text.removeprefix(name)
                 if rest == text or (rest and not rest.startswith(".")):
                     continue
-                stage, _, last = rest[1:].rpartition(".")
-                how = last if last in AGGREGATES else ""
-                yield entry.setting, metric, stage if how else rest[1:], how or metric.aggregates[0]
+                stage, _, aggregate_name = rest[1:].rpartition(".")
+                aggregate = aggregate_name if aggregate_name in AGGREGATES else ""
+                yield entry.setting, metric, stage if aggregate else rest[1:], aggregate or metric.aggregates[0]
 
 
 def metric_sources(quantity: str, evaluators: Sequence[Entry]) -> list[tuple[Entry, Metric]]:
-    """The evaluators that measure something and await nothing themselves, each with its metric."""
-    found = ((entry, metric) for entry in evaluators if not entry.requires for metric in metrics_of(entry))
-    return [(entry, metric) for entry, metric in found if metric.quantity == quantity]
+    """Return the evaluators that measure a quantity and require nothing themselves, each with its metric."""
+    measured = ((entry, metric) for entry in evaluators if not entry.requires for metric in metrics_of(entry))
+    return [(entry, metric) for entry, metric in measured if metric.quantity == quantity]
 
 
 def require_sources(evaluators: Sequence[Entry], registry: Registry, problems: Problems) -> None:
-    """Note a problem with every parameter that awaits what none of the evaluators measures, or several do."""
+    """Note a problem for every required quantity that no evaluator measures, or that several do."""
     for entry in evaluators:
         for parameter, quantity in entry.requires.items():
-            found = [source.setting.title for source, _ in metric_sources(quantity, evaluators)]
-            if len(found) == 1:
+            titles = [source.setting.title for source, _ in metric_sources(quantity, evaluators)]
+            if len(titles) == 1:
                 continue
             value, place = entry.setting.params.get(parameter), (*entry.where, "params", parameter)
-            if found:
+            if titles:
                 message = f"{value!r} is the time of {quantity}, which several evaluators measure"
-                message += f": {', '.join(found)}; keep one of them, or give milliseconds"
+                message += f": {', '.join(titles)}; keep one of them, or give milliseconds"
             else:
-                known = " or ".join(_installed_sources(quantity, registry)) or "one that does"
+                candidates = " or ".join(_installed_sources(quantity, registry)) or "one that does"
                 message = f"{value!r} is the time of {quantity}, which no evaluator of this matrix measures"
-                message += f"; add {known}, or give milliseconds"
+                message += f"; add {candidates}, or give milliseconds"
             problems.add(place, message)
 
 
 def _installed_sources(quantity: str, registry: Registry) -> list[str]:
-    """Installed evaluators that measure something with their usual parameters."""
+    """Return the installed evaluators that measure a quantity with default parameters."""
     names = []
     for plugin in registry.plugins("evaluator"):
         try:
@@ -167,7 +167,7 @@ class UntilSection(BaseModel):
 def find_decided_objective(
     section: UntilSection | None, root: Any, evaluators: Sequence[Entry], problems: Problems
 ) -> Objective | None:
-    """What is to be decided; None where nothing is, or, with a problem, where it cannot be."""
+    """Return what adding repeats is to decide; None if nothing, or, with a problem, if it is invalid."""
     if section is None:
         return None
     where = ("run", "until", "decided")
@@ -187,7 +187,7 @@ def find_decided_objective(
 
 
 def repeats_of(title: str, evaluators: Sequence[Entry]) -> int:
-    """How many repeats an evaluator's setting has; 1 where it cannot be used here."""
+    """Return how many repeats an evaluator's setting has; 1 if it cannot be used here."""
     for entry in evaluators:
         if entry.setting.title == title and entry.description is not None:
             return max(1, len(entry.description.identities))

@@ -1,4 +1,4 @@
-"""What a matrix says of a metric and its value, as it is written: before the metric is looked up."""
+"""The sections of a matrix that name a metric and a target value, before the metric is resolved."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Bound = Literal["min", "max", "equal"]
 _BOUNDS: Final[tuple[Bound, ...]] = ("min", "max", "equal")
 _Number = Annotated[StrictInt | StrictFloat, Field(allow_inf_nan=False)]
 PASSES: Final = "passes"
-"""A search for the coarsest setting that passes what is asked of the run."""
+"""Value of `search` that asks for the coarsest setting that passes what is asked of the run."""
 _MISSING_EXTRA: Final = "a search over several parameters needs optuna; run: pip install 'codecbench[search]'"
 
 
@@ -53,16 +53,17 @@ class SearchSection(ObjectiveSection):
 
 @dataclass(frozen=True)
 class SearchSpec:
-    """The `search` or `at` of an entry, before its metric is looked up. where: in the file. section: None where the
-    setting is sought that passes."""
+    """The `search` or `at` of an entry, before its metric is resolved."""
 
     where: Where
+    """Position in the file."""
     section: SearchSection | None
+    """None if the search is for a setting that passes."""
     axes: tuple[Axis, ...]
 
 
 def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) -> Any:
-    """A section as its model; None, and problems, where it is not one."""
+    """Validate a section as its model; if it is invalid, note problems and return None."""
     if not isinstance(value, Mapping):
         example = "{metric: NAME, min: NUMBER}" if where[-1] != "at" else "{METRIC: NUMBER}"
         example += f", or {PASSES}" if where[-1] == "search" else ""
@@ -76,16 +77,16 @@ def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) 
     except ValidationError as error:
         for detail in error.errors():
             message = str(detail["msg"]).removeprefix("Value error, ")
-            got = "" if isinstance(detail["input"], Mapping) else f"; got {format_value(detail['input'])}"
-            known = [part for part in detail["loc"] if part in kind.model_fields]
-            problems.add((*where, *known), message + got)
+            suffix = "" if isinstance(detail["input"], Mapping) else f"; got {format_value(detail['input'])}"
+            path = [part for part in detail["loc"] if part in kind.model_fields]
+            problems.add((*where, *path), message + suffix)
         return None
 
 
 def read_search_spec(
     item: Mapping[str, Any], where: Where, axes: Sequence[Axis], problems: Problems
 ) -> SearchSpec | None:
-    """What a codec entry with `search` or `at` asks for; None, and a problem, where that cannot be."""
+    """Read the `search` or `at` of a codec entry; if it is invalid, note a problem and return None."""
     word = "search" if "search" in item else "at"
     place = (*where, word)
     if "search" in item and "at" in item:
@@ -110,7 +111,7 @@ def read_search_spec(
 
 
 def _from_short_form(value: Any) -> Any:
-    """`{rate_bpp: 0.5}` as `{metric: rate_bpp, equal: 0.5}`."""
+    """Convert `{rate_bpp: 0.5}` to `{metric: rate_bpp, equal: 0.5}`."""
     if isinstance(value, Mapping) and len(value) == 1:
         ((metric, number),) = value.items()
         return {"metric": metric, "equal": number}
@@ -118,7 +119,7 @@ def _from_short_form(value: Any) -> Any:
 
 
 def _require_ordered(axis: Axis, where: Where, problems: Problems) -> None:
-    """Note a problem with numbers that neither rise nor fall, and with values that come twice."""
+    """Note a problem if the numbers are not monotonic or a value occurs twice."""
     values = [value for _, value in axis.choices]
     numbers = [value for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
     steps = list(pairwise(numbers))

@@ -1,7 +1,8 @@
-"""YAML 1.2 with positions: where in the file each value stands, and a list of everything wrong with it."""
+"""Read YAML 1.2 safely, with the position of each value and a list of everything wrong with the file."""
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import StringIO
@@ -26,7 +27,7 @@ from codecbench.core.contracts.errors import MatrixError
 
 MOST_CHARACTERS: Final = 1_000_000
 _MOST_VALUES: Final = 20_000
-"""With those that an alias repeats: `*name` counts as much as what it stands for."""
+"""Including what aliases repeat: `*name` counts as much as what it stands for."""
 _DEEPEST: Final = 64
 _TOO_DEEP: Final = f"more than {_DEEPEST} levels deep"
 _MOST_DIGITS: Final = 1_000
@@ -34,20 +35,22 @@ _MOST_DIGITS: Final = 1_000
 
 @dataclass
 class _Open:
-    """A list or mapping that has begun: its anchor, how many values it has so far, and how many parts."""
+    """A list or mapping being parsed."""
 
     anchor: str | None
     is_mapping: bool
     values: int = 1
+    """Number of values so far, including nested ones."""
     parts: int = 0
+    """Number of direct children so far."""
 
 
 class _TooDeep(MarkedYAMLError):
-    """Brackets in brackets; `problem_mark` is the first of them that is too many."""
+    """Raised for brackets nested too deeply; `problem_mark` is the first one too many."""
 
 
 class _ShallowScanner(Scanner):
-    """Refuses brackets as it comes to them: it reads a thousand ahead before anybody sees the first."""
+    """Rejects deeply nested brackets while scanning, because the scanner reads a thousand ahead."""
 
     def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:
         if len(self.flow_context) >= _DEEPEST:
@@ -56,24 +59,24 @@ class _ShallowScanner(Scanner):
 
 
 def require_bounded(text: str, source: str) -> None:
-    """Raise MatrixError, with line and column, for a file that is too large, too deep, or more than plain data.
+    """Raise MatrixError, with line and column, if a file is too large, too deep, or more than plain data.
 
-    Aliases may repeat values, but count as what they repeat; tags and lists as keys are refused. Raises
-    ruamel's YAMLError for what is no YAML.
+    Works on the grammar alone, before anything is built. Aliases count as what they repeat; tags and lists as keys are
+    rejected. Raises ruamel's YAMLError if the text is not YAML.
     """
     if len(text) > MOST_CHARACTERS:
         raise MatrixError(f"{source}: longer than {MOST_CHARACTERS:,} characters, which no matrix is")
     try:
-        found = next(((event.start_mark, message) for event, message in _problems(text)), None)
+        problem = next(((event.start_mark, message) for event, message in _problems(text)), None)
     except _TooDeep as error:
-        found = error.problem_mark, _TOO_DEEP
-    if found is not None:
-        mark, message = found
+        problem = error.problem_mark, _TOO_DEEP
+    if problem is not None:
+        mark, message = problem
         raise MatrixError(f"{source}:{mark.line + 1}:{mark.column + 1}: {message}")
 
 
 def _problems(text: str) -> Iterator[tuple[Any, str]]:
-    """What is wrong, with the event at which it shows."""
+    """Yield each problem with the event at which it shows."""
     sizes: dict[str, int] = {}
     path = [_Open(None, False)]
     yaml = YAML(typ="safe", pure=True)
@@ -103,7 +106,7 @@ def _problems(text: str) -> Iterator[tuple[Any, str]]:
 
 
 def _problem(event: Event, path: list[_Open]) -> str | None:
-    """What is wrong with a value at the place that the path leads to."""
+    """Return what is wrong with a value at the place that the path leads to, or None."""
     if (tag := getattr(event, "tag", None)) is not None:
         return f"tag {tag!r}: a matrix has plain values only; leave the tag out"
     if isinstance(event, AliasEvent) and any(part.anchor == event.anchor for part in path):
@@ -120,47 +123,47 @@ def _problem(event: Event, path: list[_Open]) -> str | None:
 
 
 Where = tuple[str | int, ...]
-"""The way from the top of a file to a value: `("codecs", 1, "params", "qf")`."""
+"""Path from the top of a file to a value: `("codecs", 1, "params", "qf")`."""
 
 
 _SHOWN: Final = 80
-"""Characters of a value that a message repeats."""
+"""Maximum number of characters of a value in a message."""
 _MOST_TOLD: Final = 50
-"""Problems that are spelled out; an axis may have thousands of wrong values."""
+"""Maximum number of problems that are listed; an axis may have thousands of wrong values."""
 
 
 @dataclass
 class Problems:
-    """Collects what is wrong with one file, so that all of it is reported at once."""
+    """Collects everything that is wrong with one file, to report all of it at once."""
 
     source: str
     root: Any = None
-    found: list[tuple[int, int, str]] = field(default_factory=list)
+    entries: list[tuple[int, int, str]] = field(default_factory=list)
 
     def add(self, where: Where, message: str, *, at_key: bool = False) -> None:
         """Note a problem with the value at `where`, or with its key."""
         line, column = position(self.root, where, at_key=at_key)
-        self.found.append((line, column, f"{format_path(where)}: {message}" if where else message))
+        self.entries.append((line, column, f"{format_path(where)}: {message}" if where else message))
 
     def unknown(self, where: Where, given: Iterable[Any], allowed: Iterable[str]) -> None:
-        """Note every key of a mapping that is not allowed, with what may have been meant."""
+        """Note every key of a mapping that is not allowed, with the nearest allowed one."""
         names = list(allowed)
         for key in given:
             if key not in names:
                 self.add((*where, key), f"unknown; {suggest(str(key), names)}", at_key=True)
 
     def raise_any(self) -> None:
-        """Raise MatrixError with the problems, in the order of the file, if there is one."""
-        if self.found:
-            found = sorted(set(self.found))
-            lines = [f"{self.source}:{line}:{column}: {message}" for line, column, message in found[:_MOST_TOLD]]
-            if len(found) > _MOST_TOLD:
-                lines.append(f"and {len(found) - _MOST_TOLD} more")
+        """Raise MatrixError with all problems in file order, if there are any."""
+        if self.entries:
+            entries = sorted(set(self.entries))
+            lines = [f"{self.source}:{line}:{column}: {message}" for line, column, message in entries[:_MOST_TOLD]]
+            if len(entries) > _MOST_TOLD:
+                lines.append(f"and {len(entries) - _MOST_TOLD} more")
             raise MatrixError("\n".join(lines))
 
 
 def load_yaml(path: Path) -> tuple[str, Any]:
-    """The text of a YAML file and its content, which remembers positions. Raises MatrixError."""
+    """Return the text of a YAML file and its content with positions. Raises MatrixError."""
     try:
         if path.exists() and not path.is_file():
             raise MatrixError(f"{path}: not a plain file; a matrix is a text file of YAML")  # a pipe would never end
@@ -174,7 +177,7 @@ def load_yaml(path: Path) -> tuple[str, Any]:
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """The content of a YAML text, which remembers positions. source: what errors call it. Raises MatrixError."""
+    """Return the content of a YAML text with positions. source: its name in errors. Raises MatrixError."""
     try:
         require_bounded(text, source)
         return YAML(typ="rt").load(text)
@@ -187,7 +190,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def yaml_text(root: Any) -> str:
-    """The YAML text of a content that `parsed` gave and that was changed, with its comments."""
+    """Return the YAML text of a modified result of `parse_yaml`, with its comments."""
     stream, writer = StringIO(), YAML(typ="rt")
     writer.width = MOST_CHARACTERS  # lines are not broken
     writer.dump(root, stream)
@@ -195,7 +198,7 @@ def yaml_text(root: Any) -> str:
 
 
 def plain_value(value: Any) -> Any:
-    """The value as ordinary dicts, lists and scalars."""
+    """Convert a value to ordinary dicts, lists and scalars."""
     if isinstance(value, Mapping):
         return {plain_value(key): plain_value(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -207,14 +210,14 @@ def plain_value(value: Any) -> Any:
 
 
 def format_value(value: Any) -> str:
-    """The value as messages spell it: as Python does, and not at length."""
+    """Format a value for messages: Python's repr, truncated."""
     text = repr(plain_value(value))
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def position(root: Any, where: Where, *, at_key: bool = False) -> tuple[int, int]:
-    """Line and column, from 1, of the value at `where`, or of the nearest thing above it that is in the file."""
-    found = (1, 1)
+    """Return line and column, from 1, of the value at `where`, or of its nearest ancestor in the file."""
+    result = (1, 1)
     node = root
     for depth, step in enumerate(where):
         last = depth == len(where) - 1
@@ -224,21 +227,19 @@ def position(root: Any, where: Where, *, at_key: bool = False) -> tuple[int, int
             line, column = node.lc.item(step)
         else:
             break
-        found = (line + 1, column + 1)
+        result = (line + 1, column + 1)
         node = node[step]
-    return found
+    return result
 
 
 def format_path(where: Where) -> str:
-    """`codecs[1].params.qf`."""
+    """Format a path as `codecs[1].params.qf`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in where)
     return text.removeprefix(".")
 
 
 def suggest(name: str, allowed: list[str]) -> str:
-    """`did you mean 'codecs'? allowed: ...`"""
-    import difflib
-
-    near = difflib.get_close_matches(name, allowed, n=1)
-    meant = f"did you mean {near[0]!r}? " if near else ""
-    return f"{meant}allowed: {', '.join(allowed)}"
+    """Format a hint: `did you mean 'codecs'? allowed: ...`"""
+    nearest = difflib.get_close_matches(name, allowed, n=1)
+    hint = f"did you mean {nearest[0]!r}? " if nearest else ""
+    return f"{hint}allowed: {', '.join(allowed)}"
