@@ -1,7 +1,7 @@
-"""Reading the container of a bundle, which a stranger may have made: everything is checked before a file is written.
+"""The file format of a bundle: a zip file with a manifest, checked completely before a file is written.
 
-A zip file, of those that the standard library knows, because it says at its end what is in it: names, sizes and kinds
-of all files can be refused before a byte is unpacked, which a tar file tells only on the way.
+A stranger may have made it. A zip file's directory gives names, sizes and kinds of all files, so they can be refused
+before a byte is unpacked; a tar file gives them only on the way.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ FORMAT: Final = 1
 MANIFEST: Final = "manifest.json"
 
 MOST_FILES: Final = 400_000
-"""A plan has at most 100,000 cells, and a cell leaves a record, its samples and a file or two."""
+"""A plan has at most 100,000 cells, and a cell has a record, its samples and one or two more files."""
 LARGEST_FILE: Final = 512_000_000
-"""Bytes of a file that is read whole: records, samples, artifacts, the plan, the manifest."""
+"""Maximum bytes of a file that is read whole: records, samples, artifacts, the plan, the manifest."""
 LARGEST_BITSTREAMS: Final = 32_000_000_000
-"""Bytes of the bitstreams of one sequence, which are read frame by frame."""
+"""Maximum bytes of the bitstreams of one sequence, which are read frame by frame."""
 
 _LONGEST_NAME: Final = 200
 _ID: Final = "[0-9a-f]{32}"
@@ -39,11 +39,11 @@ _NAME_PATTERN: Final = re.compile(
     rf"matrix\.yaml|plan\.json|environment/[0-9a-f]{{8,64}}\.json|coded/{_ID}\.(bits|code)"
     r"|records/([0-9a-f]{2})/\2[0-9a-f]{30}/[^./\\][^/\\]*"
 )
-"""The files of a run folder that a bundle may hold: a name of another form is refused, not mended."""
+"""The files of a run folder that a bundle may contain; a name of another form is refused, not corrected."""
 
 
 def largest_bytes(name: str) -> int:
-    """How large a file of this name may be."""
+    """Return the maximum size of a file with this name."""
     return LARGEST_BITSTREAMS if name.endswith(".bits") and name.startswith("coded/") else LARGEST_FILE
 
 
@@ -54,7 +54,7 @@ def _check_name(name: str) -> str:
 
 
 FileName = Annotated[str, AfterValidator(_check_name)]
-"""A path inside a run folder, with `/`, of a file that a bundle may hold. Raises ValueError for any other."""
+"""Path inside a run folder, with `/`, of a file that a bundle may contain. Raises ValueError for any other."""
 
 _Line = Annotated[str, AfterValidator(clean_line)]
 
@@ -64,25 +64,25 @@ class _Part(BaseModel):
 
 
 class FileFacts(_Part):
-    """Bytes and SHA-256 of a file."""
+    """Size in bytes and SHA-256 of a file."""
 
     size: int = Field(ge=0)
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
 
 class Manifest(_Part):
-    """What is in a bundle.
-
-    codecbench: the version that wrote it. cells: how many the plan has. statuses: how many have which status;
-    those without a record are in none. bitstreams: whether what the codecs wrote is in it.
-    """
+    """What a bundle contains."""
 
     format: Literal[1] = FORMAT
     codecbench: _Line
+    """The version that wrote it."""
     name: _Line
     cells: int = Field(ge=0)
+    """Number of cells in the plan."""
     statuses: dict[_Line, int]
+    """Number of cells by status; cells without a record are not counted."""
     bitstreams: bool
+    """Whether the codecs' output is included."""
     files: dict[FileName, FileFacts]
 
 
@@ -91,7 +91,7 @@ _METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED: Final = 0x1
 
 _MOST_RATIO: Final = 100
-"""Unpacked bytes for each byte of the file; ours stay below 10."""
+"""Maximum ratio of unpacked to packed bytes; bundles of codecbench stay below 10."""
 _SLACK: Final = 64_000_000
 """Bytes that may be unpacked whatever the ratio: a small run compresses well."""
 
@@ -103,12 +103,12 @@ _ENTRY_MAGIC: Final = b"PK\x01\x02"
 _DAMAGE: Final = (
     zipfile.BadZipFile, zlib.error, EOFError, ValueError, KeyError, RuntimeError, struct.error, OverflowError,
 )  # fmt: skip
-"""What reading a zip file raises where it is not sound; RuntimeError also for a method of packing that it lacks."""
+"""What reading a damaged zip file raises; RuntimeError also for an unsupported compression method."""
 
 
 @dataclass(frozen=True)
 class OpenBundle:
-    """A bundle whose every name, size and kind of file is in order; the files' content is yet to be checked."""
+    """A bundle whose names, sizes and kinds of files are valid; the files' content is not checked yet."""
 
     manifest: Manifest
     archive: zipfile.ZipFile
@@ -116,7 +116,7 @@ class OpenBundle:
 
 @contextmanager
 def open_bundle(path: Path) -> Iterator[OpenBundle]:
-    """The bundle in a file. Raises StoreError where it is none, or is refused, or its content proves to be damaged."""
+    """Open a bundle. Raises StoreError if it is none, is refused, or proves to be damaged in the block."""
     if not path.is_file():
         raise StoreError(f"{path} is not a bundle: there is no such file")
     try:
@@ -132,7 +132,7 @@ def open_bundle(path: Path) -> Iterator[OpenBundle]:
 
 
 def _require_small_directory(stream: BinaryIO, size: int) -> None:
-    """Raise ValueError where the list of members at the end of the file would be large to read."""
+    """Raise ValueError if the list of files is too large to be read."""
     stream.seek(max(0, size - _END.size))
     end = stream.read(_END.size)
     if len(end) < _END.size or not end.startswith(b"PK\x05\x06") or _END.unpack(end)[-1]:
@@ -155,7 +155,7 @@ def _require_small_directory(stream: BinaryIO, size: int) -> None:
 
 
 def _check_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[str, zipfile.ZipInfo]:
-    """The members by name. Raises ValueError for one that is not a plain file of a run, or is too large."""
+    """Return the members by name. Raises ValueError for one that is not a plain file of a run, or is too large."""
     members: dict[str, zipfile.ZipInfo] = {}
     for info in infos:
         name = info.orig_filename
@@ -171,14 +171,14 @@ def _check_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[str,
             raise ValueError(f"{name!r} has {info.file_size:,} bytes; at most {largest_bytes(name):,} are taken")
         members[name] = info
     _require_apart(infos)
-    unpacked, most = sum(info.file_size for info in infos), _SLACK + _MOST_RATIO * packed_bytes
-    if unpacked > most:
-        raise ValueError(f"{packed_bytes:,} bytes of it would unpack to {unpacked:,}; at most {most:,} are taken")
+    unpacked, limit = sum(info.file_size for info in infos), _SLACK + _MOST_RATIO * packed_bytes
+    if unpacked > limit:
+        raise ValueError(f"{packed_bytes:,} bytes of it would unpack to {unpacked:,}; at most {limit:,} are taken")
     return members
 
 
 def _require_apart(infos: list[zipfile.ZipInfo]) -> None:
-    """Raise ValueError where two members share bytes: that is how a small file unpacks to a very large one."""
+    """Raise ValueError if two members share bytes, as in a zip bomb."""
     end = 0
     for info in sorted(infos, key=lambda info: info.header_offset):
         if info.header_offset < end:
@@ -187,16 +187,17 @@ def _require_apart(infos: list[zipfile.ZipInfo]) -> None:
 
 
 def _manifest(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> Manifest:
+    """Return the manifest. Raises ValueError if it does not match the members."""
     if MANIFEST not in members:
         raise ValueError(f"it has no {MANIFEST}")
     with archive.open(MANIFEST) as stream:
         manifest = Manifest.model_validate(json_from_bytes(stream.read(LARGEST_FILE)))
-    named = {name: facts.size for name, facts in manifest.files.items()}
-    found = {name: info.file_size for name, info in members.items() if name != MANIFEST}
-    if named != found:
-        wrong = sorted(name for name in named.keys() | found.keys() if named.get(name) != found.get(name))
+    listed = {name: facts.size for name, facts in manifest.files.items()}
+    actual = {name: info.file_size for name, info in members.items() if name != MANIFEST}
+    if listed != actual:
+        wrong = sorted(name for name in listed.keys() | actual.keys() if listed.get(name) != actual.get(name))
         raise ValueError(f"{wrong[0]!r} is not as {MANIFEST} says, and {len(wrong) - 1} more")
     for name in ("plan.json", "matrix.yaml"):
-        if name not in named:
+        if name not in listed:
             raise ValueError(f"it has no {name}")
     return manifest

@@ -1,6 +1,6 @@
 """The lock of a run folder, which one process holds while it writes.
 
-It is the system's (flock): it ends with its process, however that ends, and cannot go stale.
+It is a system lock (flock): it ends with its process, however that ends, and cannot go stale.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from codecbench.core.engine.text import clean_line
 
 @contextmanager
 def hold_lock(file: Path) -> Iterator[None]:
-    """Hold the lock and write in its file who does. Raises StoreError where another process holds it, and OSError."""
+    """Hold the lock and write the holder into its file. Raises OSError, and StoreError if another process holds it."""
     with open(file, "a+", encoding="utf-8", errors="replace") as stream:
         if not _try_lock(stream):
             stream.seek(0)
@@ -46,7 +46,7 @@ def is_locked(file: Path) -> bool:
 
 
 def _try_lock(stream: TextIO) -> bool:
-    """Lock an open file for this process alone; tries for a moment, for `is_held` may just be looking."""
+    """Lock an open file exclusively; retries briefly, because `is_locked` may hold it for a moment."""
     for _ in range(4):
         with suppress(BlockingIOError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -196,7 +196,7 @@ class LiveSender:
         self._packets += packets
         self._position.at("decode", index)
         (packet,) = packets
-        pictures = self._decoder.push(replace(packet.sent, frame=place).packet(packet.data), original.image)
+        pictures = self._decoder.push(replace(packet.sent_packet, frame=place).packet(packet.data), original.image)
         if place not in pictures:
             raise Unsupported(
                 f"the decoder of {self._codec.name} holds frames back; a chosen frame must be seen at once"
@@ -205,6 +205,6 @@ class LiveSender:
 
     def _again(self, index: int, original: Image) -> Image:
         """The picture of a frame that was sent before, decoded from what was sent."""
-        told = [packet.sent for packet in self._packets]
+        told = [packet.sent_packet for packet in self._packets]
         pictures = StreamPictures(self._codec, told, lambda frame: self._packets[frame].data, self._position)
         return pictures.picture(self._places[index], original)
