@@ -32,9 +32,9 @@ def read_plain(path: str | Path) -> bytes:
 
 
 def refuse_links(folder: Path, depth: int, root: Path | None = None) -> None:
-    """Raise StoreError if a link below `folder`, down to `depth` levels, leads out of `home`.
+    """Raise StoreError if a link below `folder`, down to `depth` levels, leads out of `root`.
 
-    home: by default, the folder itself.
+    root: by default, the folder itself.
     """
     root = root or folder.resolve()
     try:
