@@ -99,10 +99,10 @@ def describe(
     Raises InvalidParams, Unsupported if the plugin cannot be used here, and PluginError if it violates its contract.
     """
     key = repr((kind, name, values, folder))
-    if (answer := registry.told.get(key)) is None:
+    if (answer := registry.answers.get(key)) is None:
         answer = registry.ask(description_fields, kind, name, values, folder, of=[(kind, name)])
         if registry.find(kind, name).hosted:
-            registry.told[key] = answer
+            registry.answers[key] = answer
     try:
         if "invalid" in answer:
             raise InvalidParams(answer["invalid"], answer["fields"])

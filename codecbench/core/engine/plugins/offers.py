@@ -1,4 +1,4 @@
-"""What distributions offer, as data: told by their hosts, and remembered by what is in their files."""
+"""What distributions offer, as data: reported by their hosts, and cached by a digest of their files."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ _ASKED: Final = "codecbench.core.engine.plugins.serving:offers"
 
 @dataclass(frozen=True)
 class Offers:
-    """The plugins of a distribution, each with the name of its entry point, and what is wrong with others."""
+    """The plugins of a distribution, each with the name of its entry point, and the problems of others."""
 
     plugins: list[tuple[Plugin, str]]
     problems: list[Problem]
 
 
 def cached_offers(origin: str, points: list[EntryPoint]) -> Offers | None:
-    """What a distribution offered when its files were what they are now, or None. points: its entry points."""
+    """Return what a distribution offered if its files have not changed, otherwise None. points: its entry points."""
     with suppress(OSError, ValueError, LookupError, TypeError, PluginError):
-        kept = json.loads(_cache_file(origin).read_bytes())
-        if kept["files"] == _files_digest(origin, points):
-            return _parse_offers(origin, kept["offers"])
+        cache = json.loads(_cache_file(origin).read_bytes())
+        if cache["files"] == _files_digest(origin, points):
+            return _parse_offers(origin, cache["offers"])
     return None
 
 
 def ask_offers(host: Host, points: list[EntryPoint]) -> Offers:
-    """What a distribution offers as its host tells it, which is remembered where nothing is wrong with it.
+    """Ask a distribution's host what it offers, and cache the answer if there is no problem.
 
-    Something that nobody can read is one of its problems.
+    An unreadable answer becomes one of its problems.
     """
     origin, files = host.distribution, _files_digest(host.distribution, points)
     try:
@@ -57,7 +57,7 @@ def ask_offers(host: Host, points: list[EntryPoint]) -> Offers:
 
 
 def _parse_offers(origin: str, value: Any) -> Offers:
-    """Raises PluginError for what no host of ours tells: the distribution's code ran there, too."""
+    """Parse a host's answer. Raises PluginError if it is malformed: the distribution's code runs there too."""
     plugins: list[tuple[Plugin, str]] = []
     try:
         problems = [
@@ -75,7 +75,7 @@ def _parse_offers(origin: str, value: Any) -> Offers:
 
 
 def _files_digest(origin: str, points: list[EntryPoint]) -> str | None:
-    """A digest of what decides what a distribution offers; None where its code is not found."""
+    """Return a digest of everything that determines a distribution's offers; None if its code is not found."""
     codes = [(point.name, point.value, fingerprint(origin, point.module)) for point in points]
     return digest([sys.version, codes]) if all(code for *_, code in codes) else None
 

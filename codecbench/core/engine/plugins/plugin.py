@@ -1,4 +1,4 @@
-"""A plugin as the registry knows it, and what is wrong with one that it could not take."""
+"""A plugin as the registry stores it, the problem of one that was rejected, and the loading of plugin classes."""
 
 from __future__ import annotations
 
@@ -30,68 +30,65 @@ _TARGET: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 @dataclass(frozen=True)
 class Plugin:
-    """What a distribution offers: the specification of a plugin, and where it came from.
-
-    hosted: it is imported in a host process.
-    """
+    """What a distribution offers: the specification of a plugin, and its origin."""
 
     kind: Kind
     spec: PluginSpec
     distribution: str
+    """With its version."""
     hosted: bool = False
+    """Whether it is imported in a host process."""
 
     @property
     def foreign(self) -> str:
-        """Its distribution with its version; empty for codecbench's own plugins."""
+        """The distribution with its version; empty for codecbench's own plugins."""
         return "" if self.distribution.startswith(f"{OURS} ") else self.distribution
 
     @property
     def title(self) -> str:
-        """The plugin and its distribution, as messages name them."""
+        """The plugin and its distribution, for messages."""
         return f"{kind_title(self.kind)} {self.spec.name} of {self.distribution}"
 
     @property
     def missing(self) -> str | None:
-        """Why this plugin cannot be used here and the command that installs it, or None. Imports nothing of its own."""
-        what = f"{self.kind} {self.spec.name} needs"
-        absent = [name for name in self.spec.requires if module_spec(name) is None]
-        if absent:
-            command = f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(absent)}"
-            return f"{what} {', '.join(absent)}, which is not installed; run: {command}"
-        refused = _unmet_requirements(self.distribution.partition(" ")[0], self.spec.requires)
-        if not refused:
+        """Why the plugin cannot be used here, with the command that installs it, or None. Imports nothing."""
+        prefix = f"{self.kind} {self.spec.name} needs"
+        not_installed = [name for name in self.spec.requires if module_spec(name) is None]
+        if not_installed:
+            command = (
+                f"pip install '{self.spec.extra}'" if self.spec.extra else f"pip install {' '.join(not_installed)}"
+            )
+            return f"{prefix} {', '.join(not_installed)}, which is not installed; run: {command}"
+        unmet = _unmet_requirements(self.distribution.partition(" ")[0], self.spec.requires)
+        if not unmet:
             return None
-        return (
-            f"{what} {' and '.join(refused)}; run: pip install --upgrade '{self.spec.extra or refused[0].split()[0]}'"
-        )
+        return f"{prefix} {' and '.join(unmet)}; run: pip install --upgrade '{self.spec.extra or unmet[0].split()[0]}'"
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A distribution's plugin that could not be taken, and why.
-
-    nameless: nobody knows what it would have been called, because its module never said.
-    """
+    """A plugin of a distribution that was rejected, and why."""
 
     distribution: str
     entry_point: str
     reason: str
     nameless: bool = False
+    """Whether the plugin's name is unknown, because its module never gave it."""
 
     def __str__(self) -> str:
         return f"{self.distribution} (entry point {self.entry_point}): {self.reason}"
 
 
 def _unmet_requirements(distribution: str, libraries: tuple[str, ...]) -> list[str]:
-    """Each of these libraries whose installed version is not one that the distribution's metadata asks for."""
-    refused = []
+    """Return those libraries whose installed version does not meet the distribution's metadata."""
+    unmet = []
     with suppress(importlib.metadata.PackageNotFoundError):  # without metadata nothing is asked for
         for requirement in _requirements(distribution) if libraries else ():
             if requirement.name.replace("-", "_") in libraries:
                 version = importlib.metadata.version(requirement.name)
                 if not requirement.specifier.contains(version, prereleases=True):
-                    refused.append(f"{requirement.name} {requirement.specifier}, not {version} which is installed")
-    return refused
+                    unmet.append(f"{requirement.name} {requirement.specifier}, not {version} which is installed")
+    return unmet
 
 
 @functools.cache
@@ -102,12 +99,12 @@ def _requirements(distribution: str) -> tuple[Requirement, ...]:
 
 
 def kind_title(kind: Kind) -> str:
-    """A kind of plugin as messages name it: `slam_backend` is "slam backend"."""
+    """Return a kind of plugin for messages: `slam_backend` is "slam backend"."""
     return kind.replace("_", " ")
 
 
 def fault_of(kind: Kind, spec: PluginSpec) -> str | None:
-    """What of a specification nobody could use, or None."""
+    """Return what makes a specification unusable, or None."""
     if not (isinstance(spec.name, str) and _NAME.fullmatch(spec.name) and len(spec.name) <= _LONGEST_NAME):
         name = f"{kind} name {spec.name!r:.120}"
         return f"{name} is not of the form [a-z][a-z0-9_]*, of at most {_LONGEST_NAME} characters"
@@ -122,9 +119,9 @@ def fault_of(kind: Kind, spec: PluginSpec) -> str | None:
 
 
 def module_spec(module: str, *, to_first_file: bool = False) -> ModuleSpec | None:
-    """How a module would be imported, or None; nothing is imported, not even the packages that it is in.
+    """Return how a module would be imported, or None; not even its parent packages are imported.
 
-    to_first_file: of the first of those that is no namespace package.
+    to_first_file: return the spec of the topmost parent that is no namespace package.
     """
     parts = module.split(".")
     with suppress(ImportError, ValueError, AttributeError):
@@ -145,13 +142,13 @@ _BASES: Final[dict[Kind, tuple[str, ...]]] = {
     "executor": ("executor:Executor",),
     "link": ("link:Link",),
 }
-"""In codecbench.core.contracts; a plugin subclasses one of those of its kind."""
+"""Base classes in codecbench.core.contracts; a plugin subclasses one of those of its kind."""
 
 
 def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
-    """The class of a plugin, imported into this process now. title: how messages name the plugin.
+    """Import a plugin's class into this process. title: how messages name the plugin.
 
-    Raises PluginError where its module fails to import or it breaks the contract, and Unsupported where it says so.
+    Raises PluginError if its module fails to import or it violates its contract, and Unsupported if its module does.
     """
     module_name, _, class_name = spec.target.partition(":")
     try:
@@ -162,9 +159,9 @@ def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
         raise PluginError(f"{title}: {module_name} does not import: {describe_error(error)}") from error
     cls: Any = getattr(module, class_name, None)
     if not hasattr(module, class_name):
-        near = difflib.get_close_matches(class_name, vars(module), n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
-        raise PluginError(f"{title}: {module_name} has no {class_name}{meant}")
+        nearest = difflib.get_close_matches(class_name, vars(module), n=1)
+        hint = f"; did you mean {nearest[0]}?" if nearest else ""
+        raise PluginError(f"{title}: {module_name} has no {class_name}{hint}")
     bases = _bases(kind)
     base = next((base for base in bases if isinstance(cls, type) and issubclass(cls, base)), None)
     if base is None:
@@ -176,8 +173,8 @@ def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
     for attribute in dict.fromkeys(name for ancestor in base.__mro__ for name in inspect.get_annotations(ancestor)):
         if not hasattr(cls, attribute):
             raise PluginError(f"{title}: {spec.target} has no class attribute {attribute!r}")
-    if left := sorted(getattr(cls, "__abstractmethods__", ())):
-        raise PluginError(f"{title}: {spec.target} does not define {', '.join(left)}")
+    if undefined := sorted(getattr(cls, "__abstractmethods__", ())):
+        raise PluginError(f"{title}: {spec.target} does not define {', '.join(undefined)}")
     return cls
 
 
