@@ -23,9 +23,7 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u
 
 
 def clean_line(text: str) -> str:
-    r"""Return one line of at most about `LINE_LIMIT` characters; other characters than plain text are escaped
-    (`\\x1b`).
-    """
+    r"""Return one line of at most about `LINE_LIMIT` characters, with unprintable characters escaped (`\\x1b`)."""
     return _cut(_escape(" ".join(text.split()) if "\n" in text or "\t" in text or "\r" in text else text), LINE_LIMIT)
 
 

@@ -199,10 +199,10 @@ class _Run:
         """
         if self.jobs_total and not self.jobs_done:
             return isinstance(work, CodingJob) and not self.under_way
-        return self.warm_up.serves(work.id)
+        return self.warm_up.is_ready(work.id)
 
     def _take_back(self, finished: Finished) -> None:
-        if self.warm_up.took(finished):
+        if self.warm_up.finish(finished):
             self._tell()
             return
         work = self.under_way.pop(finished.task_id)
@@ -217,19 +217,19 @@ class _Run:
         else:
             record = Record(work.id, "failed", str(outcome)) if isinstance(outcome, BitstreamDamage) else outcome
             self._record(work, self._with_encoder(work, record))
-            self.schedule.ended(work)
+            self.schedule.finish(work)
 
     def _coded(self, job: CodingJob, record: Record) -> None:
-        self.pace.ended(job, record.duration_s, _process(record))
+        self.pace.finish(job, record.duration_s, _process(record))
         self.jobs_done += 1
         if record.status == "ok":
             if BITSTREAMS in record.contents:
                 self.store.write_coded(job.id, record.contents[BITSTREAMS])
             self.store.note_encoder(job.id, record.code.get(code_label("codec", job.codec.name), ""))
-            self.schedule.ended(job)
+            self.schedule.finish(job)
             self._tell()
             return
-        for cell in self.schedule.failed(job):
+        for cell in self.schedule.fail(job):
             self._record(cell, Record(cell.id, record.status, f"coding failed: {record.reason}", record.traceback))
 
     def _encode_again(self, cell: Cell, damage: str) -> None:
@@ -246,7 +246,7 @@ class _Run:
         self.statuses[cell.id] = record.status
         self.not_ok += record.status != "ok"
         if cell.unsupported is None:
-            self.pace.ended(cell, record.duration_s or None, _process(record))
+            self.pace.finish(cell, record.duration_s or None, _process(record))
         if record.status not in ("ok", "unsupported"):
             name = f"{cell.sequence.name} | {cell.codec.name} {cell.codec.label}".strip()
             where = f"{name} | {cell.evaluator.name} {cell.evaluator.label}".strip()

@@ -1,4 +1,4 @@
-"""The log file of a run: one line for each thing worth knowing, appended run after run."""
+"""What surrounds a run: its log file, and signals that end it early."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from typing import Any, Self
 
 @contextmanager
 def log_to(path: Path, level: int) -> Iterator[None]:
-    """Write what codecbench logs to `path` meanwhile."""
+    """Append codecbench's log messages to `path` in the block."""
     logger = logging.getLogger("codecbench")
     handler = _LogFile(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     handler.setLevel(level)
-    before = logger.level
+    old_level = logger.level
     logger.addHandler(handler)
     logger.setLevel(level)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        logger.setLevel(old_level)
         logger.removeHandler(handler)
         with suppress(OSError):
             handler.close()
 
 
 class _LogFile(logging.FileHandler):
-    """A log whose lines are dropped where they cannot be written: a full disk is told by what cannot be recorded."""
+    """A log that drops lines that cannot be written: failing records already reveal a full disk."""
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - named by logging
         pass
@@ -42,14 +42,15 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Interruption:
-    """A context in which signals set `requested` instead of ending the process. Inert outside the main thread.
+    """A context in which the first SIGINT, SIGTERM or SIGHUP sets `requested` instead of ending the process.
 
-    SIGHUP stays ignored where it is, as under nohup.
+    A second SIGINT raises KeyboardInterrupt. Inert outside the main thread. SIGHUP stays ignored if it is, as under
+    nohup.
     """
 
     def __init__(self) -> None:
         self.signal_name: str | None = None
-        self._before: dict[signal.Signals, Any] = {}
+        self._old_handlers: dict[signal.Signals, Any] = {}
 
     @property
     def requested(self) -> bool:
@@ -57,13 +58,13 @@ class Interruption:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-            heeded = _SIGNALS[:-1] if deaf else _SIGNALS
-            self._before = {number: signal.signal(number, self._request) for number in heeded}
+            ignores_hangup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            signals = _SIGNALS[:-1] if ignores_hangup else _SIGNALS
+            self._old_handlers = {number: signal.signal(number, self._request) for number in signals}
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
+        for number, handler in self._old_handlers.items():
             signal.signal(number, handler)
 
     def _request(self, number: int, frame: FrameType | None) -> None:

@@ -169,17 +169,17 @@ def test_the_schedule_frees_cells_when_their_bitstreams_are_there(bench: Bench) 
     assert isinstance(first, CodingJob)
     assert isinstance(second, CodingJob)
     assert schedule.take() is None
-    schedule.ended(first)
+    schedule.finish(first)
     cell = schedule.take()
     assert isinstance(cell, Cell)
     assert cell.job_id == first.id
-    assert [one.job_id for one in schedule.failed(second)] == [second.id]
+    assert [one.job_id for one in schedule.fail(second)] == [second.id]
     assert schedule.take() is None, "exclusive cells wait for the last other one"
     schedule.encode_again(cell)
     assert schedule.take() is first
-    schedule.ended(first)
+    schedule.finish(first)
     assert schedule.take() is cell
-    schedule.ended(cell)
+    schedule.finish(cell)
     rest = [schedule.take() for _ in range(4)]
     assert all(isinstance(one, Cell) and one.exclusive for one in rest)
     assert len(schedule) == 4
