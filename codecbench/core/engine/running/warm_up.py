@@ -201,8 +201,8 @@ def missing_kernels(
             continue
         for problem in answer["problems"]:
             log.warning("%s", problem)
-        found = [Entry(**values) for values in answer["entries"]]
-        entries |= {e: "" if e.kernel.startswith("codecbench.") else origin for e in found}
+        kernels = [Entry(**values) for values in answer["entries"]]
+        entries |= {e: "" if e.kernel.startswith("codecbench.") else origin for e in kernels}
     return entries
 
 

@@ -83,9 +83,7 @@ class PluginFactory:
         return bool(setting.distribution) and not self.hosts_none
 
     def code(self, settings: Iterable[PluginSetting]) -> dict[str, str]:
-        """Return the code of these plugins by label, read before any of it was imported; only of those created so
-        far.
-        """
+        """Return the code of the plugins created so far, by label, as it was before any of it was imported."""
         codes = {}
         for setting in settings:
             label = code_label(setting.kind, setting.name)

@@ -123,7 +123,7 @@ def test_products_up_to_the_limit_are_spanned(lengths: tuple[int, int], count: i
     problems = Problems("m.yaml")
     params = {f"p{place}": {"range": [1, length]} for place, length in enumerate(lengths)}
     assert sum(1 for _ in points(axes(params, ("codecs", 0), problems))) == count
-    assert bool(problems.found) == (count == 0)
+    assert bool(problems.entries) == (count == 0)
 
 
 def test_thousands_of_problems_are_not_all_spelled_out(planned: dict[str, Done]) -> None:
