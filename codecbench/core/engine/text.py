@@ -60,7 +60,7 @@ def describe_error(error: BaseException) -> str:
     kind = type(error).__name__
     try:
         return f"{kind}: {error}"
-    except BaseException as secondary:  # noqa: BLE001 - a message that cannot be made is no reason to fail here
+    except BaseException as secondary:  # noqa: BLE001 - a broken message must not fail here
         return f"{kind}, whose message raises {type(secondary).__name__}"
 
 
@@ -70,7 +70,7 @@ def describe_exit(status: int) -> str:
         return f"it ended its process with status {status}"
     try:
         return f"it ended its process by {signal.Signals(-status).name}"
-    except ValueError:  # signals without a name
+    except ValueError:  # the signal has no name
         return f"it ended its process by signal {-status}"
 
 

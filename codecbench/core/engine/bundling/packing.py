@@ -150,7 +150,7 @@ def unpack_bundle(path: Path, folder: Path) -> Manifest:
         return _unpack(path, folder)
     except BaseException:
         for parent in missing:
-            with suppress(OSError):  # not made, or in use by others
+            with suppress(OSError):  # it was not made, or others use it
                 parent.rmdir()
         raise
 

@@ -219,12 +219,12 @@ class Channel:
             if self._calls > _MOST_CALLS:
                 raise RecursionError(f"{_MOST_CALLS} calls wait for each other")
             answer = {"number": number, "value": self._run_call(message)}
-        except BaseException as error:  # noqa: BLE001 - whatever a stranger's code does becomes the answer
+        except BaseException as error:  # noqa: BLE001 - whatever foreign code does becomes the answer
             answer = {"number": number, **self._error_message(error)}
         finally:
             self._calls -= 1
             if os.getpid() != pid:
-                os._exit(0)  # the call came back twice, and one answer is enough
+                os._exit(0)  # a forked copy of this process: one answer is enough
         if self.obeys:
             signal.alarm(0)
         try:
@@ -253,7 +253,7 @@ class Channel:
         try:
             text = str(error) if known else describe_error(error)
             trace = "".join(traceback.format_exception(error))
-        except Exception as second:  # noqa: BLE001 - of an exception that does more than hold a message
+        except Exception as second:  # noqa: BLE001 - the exception may run foreign code to make its message
             text = trace = describe_error(second)
         if isinstance(error, StopIteration):
             known = "StopIteration"
@@ -270,7 +270,7 @@ class Channel:
         if isinstance(returned, int) and 0 <= returned < len(self._raised):
             return self._raised[returned]
         name, text = str(message.get("error") or ""), str(message.get("text", "it answered nonsense"))
-        if name == "StopIteration" and called == "__next__":  # anywhere else it would end a loop of ours
+        if name == "StopIteration" and called == "__next__":  # elsewhere it would silently end a loop here
             return StopIteration()
         error_class: Any = vars(errors).get(name)
         is_known = isinstance(error_class, type) and issubclass(error_class, errors.CodecbenchError)
@@ -309,7 +309,7 @@ class Channel:
                 raise WireError("an object that it was not given")
             return self._mine[number]
         if (remote_object := self._theirs.get(number)) is None:
-            make_remote = importlib.import_module(_REMOTE).remote  # which loads all contracts
+            make_remote = importlib.import_module(_REMOTE).remote  # here, because it loads all contracts
             remote_object = self._theirs[number] = make_remote(self, number, reference["kind"], reference["facts"])
         return remote_object
 

@@ -215,7 +215,7 @@ class _HostChannel(Channel):
 
     def __init__(self, host: Host, reads: int, writes: int, sends: SharedMemory, receives: SharedMemory) -> None:
         super().__init__(reads, writes, sends, receives, host.wait)
-        self._host = host  # which lives as long as an object of its process is known
+        self._host = host  # keeps the host alive as long as any of its objects
 
     def call(self, target: Any, name: str, *arguments: Any, **words: Any) -> Any:
         with self._host.answering(self):
@@ -236,7 +236,7 @@ def _end(
     process: subprocess.Popen[bytes], pipes: tuple[int, ...], memory: tuple[SharedMemory, ...], folder: HeldFolder
 ) -> None:
     """End a host with its process group and remove what it left."""
-    process.terminate()  # its supervisor ends it with all that it started
+    process.terminate()  # its supervisor ends everything that it started
     with suppress(subprocess.TimeoutExpired):
         process.wait(_PATIENCE_S)
     process.kill()

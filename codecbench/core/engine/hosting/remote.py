@@ -23,12 +23,12 @@ class Remote:
     def __init__(self, channel: Channel, number: int, kind: str, facts: dict[str, Any]) -> None:
         self.place, self.kind, self._methods = (channel, number), kind, METHODS[kind]
         self.facts = {name: facts[name] for name in FACTS.get(kind, ())} | facts
-        if kind != "codec":  # of which two may stand for one
+        if kind != "codec":  # two proxies may share a codec
             weakref.finalize(self, _drop, channel, number).atexit = False
 
     def call(self, name: str, *arguments: Any, **words: Any) -> Any:
         """Call a method, see `Channel.call`; a function `module:name` gets this object as its first argument."""
-        words.pop("trace", None)  # operations are counted there, see `AnyCodec.at_encoder`
+        words.pop("trace", None)  # operations are counted in the host, see `AnyCodec.at_encoder`
         if self.kind == "slam_backend":
             arguments = (iter(arguments[0]), *arguments[1:])
         return self.place[0].call(self, name, *arguments, **words)

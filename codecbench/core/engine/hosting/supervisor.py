@@ -120,7 +120,7 @@ def _kill_children(host: int) -> None:
     try:
         with open(f"/proc/self/task/{os.getpid()}/children") as file:
             pids = [int(pid) for pid in file.read().split()]
-    except OSError:  # a system that does not list them
+    except OSError:  # this system does not list them
         pids = [int(pid) for pid in os.listdir("/proc") if pid.isdigit() and _parent(pid) == os.getpid()]
     for pid in pids:
         with suppress(OSError):
@@ -166,7 +166,7 @@ def _sources(paths: list[str], shows: list[str]) -> list[str]:
     paths_shown.update(filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)))
     for path in paths:
         names: list[str] = []
-        with suppress(OSError):  # an archive, or it is not there
+        with suppress(OSError):  # it is an archive or missing
             names = os.listdir(path)
         if not names or any(name.endswith(".dist-info") for name in names):
             paths_shown.add(path)
@@ -198,10 +198,10 @@ def _confine(sources: list[str], folder: str, descriptors: list[int], unshares: 
         _build_root(sources, folder)
         _give_up_privileges()
     except OSError as error:
-        print(error, file=sys.stderr, flush=True)  # noqa: T201 - whoever tries whether it is possible reads it
+        print(error, file=sys.stderr, flush=True)  # noqa: T201 - `confinement.confinement` reads it
         os._exit(1)
     host = os.fork()
-    _prctl(_DUMPABLE, not host)  # the host can read about itself, and cannot trace the other
+    _prctl(_DUMPABLE, not host)  # the host may read its own /proc entry, but not trace its parent
     if host:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         _close(*descriptors)
@@ -224,7 +224,7 @@ def _build_root(sources: list[str], folder: str) -> None:
         is_device = path.startswith("/dev/")
         _attach(_tree(path, _READ_ONLY | _NOSUID | (0 if is_device else _NODEV)), path, folder)
     _attach(own_tree, folder, folder)
-    with suppress(OSError):  # of a system that has no such limit
+    with suppress(OSError):  # this system has no such limit
         _write("/proc/sys/user/max_user_namespaces", "0")
     os.mkdir(f"{folder}/proc")
     _mount("proc", f"{folder}/proc", _READ_ONLY | _NOSUID | _NODEV | _NOEXEC)
@@ -269,9 +269,9 @@ def _mount(kind: str, place: str, flags: int, options: str = "") -> None:
 def _give_up_privileges() -> None:
     """Become nobody, without capabilities or a way to get any, and without the user's keys."""
     _start_loopback()
-    with suppress(OSError):  # of a system without keys
+    with suppress(OSError):  # this system has no keys
         _call("syscall", _machine()[1]["keyctl"], 1, None)
-    with suppress(OSError):  # past the last of them
+    with suppress(OSError):  # capability numbers end somewhere below 64
         for capability in range(64):
             _prctl(_CAPBSET_DROP, capability)
     if os.geteuid() != USER:

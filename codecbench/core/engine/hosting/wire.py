@@ -49,7 +49,7 @@ def pack(value: Any, objects: Objects, payload: Payload) -> Any:
             named["facts"] = pack(named["facts"], objects, payload)
         return named
     if issubclass(kind, bytes):
-        return {"bytes": _append(payload, memoryview(value).tobytes())}  # whatever a subclass says of itself
+        return {"bytes": _append(payload, memoryview(value).tobytes())}  # a subclass may override everything else
     if issubclass(kind, enum.Enum) and kind.__module__.startswith(_OURS):
         return {"enum": f"{kind.__module__}:{kind.__qualname__}", "name": value.name}
     for plain, spelled in ((bool, bool), (int, int.__int__), (float, float.__float__), (str, str.__str__)):
@@ -121,7 +121,7 @@ def _part(memory: memoryview, place: Any) -> memoryview:
 
 def _pack_array(value: Any, payload: Payload) -> Any:
     """Pack an array, number or random generator of NumPy; None for anything else."""
-    numpy = sys.modules.get("numpy")  # whoever has an array has loaded it
+    numpy = sys.modules.get("numpy")  # loaded if there is an array
     if numpy is None:
         return None
     kind = type(value)

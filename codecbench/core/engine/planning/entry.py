@@ -27,7 +27,7 @@ class Entry:
     """Why the plugin cannot be used here, if `description` is None."""
     faulty: bool = False
     """Whether `missing` is the plugin's own fault."""
-    wanted: SearchSpec | None = None
+    search: SearchSpec | None = None
     """The search that may try this setting; None if it always runs."""
 
     @property
@@ -42,7 +42,7 @@ def unique_entries(entries: list[Entry]) -> list[Entry]:
     alike: dict[tuple[Any, ...], list[Entry]] = defaultdict(list)
     for entry in entries:
         values = entry.setting.params.values()
-        if entry.wanted is not None:
+        if entry.search is not None:
             unique.append(entry)
             continue
         candidates = alike[tuple(value if isinstance(value, int | float | str) else repr(value) for value in values)]

@@ -165,13 +165,13 @@ class _Reader:
         if not isinstance(params, Mapping):
             self.problems.add((*where, "params"), f"must be a mapping; got {format_value(params)}")
             return
-        spanned, wanted = axes(params, (*where, "params"), self.problems), None
+        spanned, search = axes(params, (*where, "params"), self.problems), None
         if kind == "codec" and ("search" in item or "at" in item):
-            wanted = read_search_spec(item, where, spanned, self.problems)
+            search = read_search_spec(item, where, spanned, self.problems)
         for point in points(spanned):
             entry = self.entry(kind, where, str(item["use"]), point)
             if entry is not None:
-                yield replace(entry, name=name, wanted=wanted)
+                yield replace(entry, name=name, search=search)
 
     def entry(self, kind: Kind, where: Where, name: str, point: Point) -> Entry | None:
         """Return one validated setting, or None after noting what is wrong with it."""
@@ -276,7 +276,7 @@ def require_plannable(
 ) -> None:
     """Raise MatrixError if crossing the sections gives more cells than can be planned."""
     counts = {section: len(entries) for section, entries in sections.items()}
-    counts["codecs"] = sum(entry.wanted is None for entry in sections["codecs"])
+    counts["codecs"] = sum(entry.search is None for entry in sections["codecs"])
     counts["codecs"] += sum(min(search.budget, len(search.settings)) for search in searches)
     cells = math.prod(counts.values())
     if cells > _MOST_CELLS:

@@ -63,7 +63,7 @@ def make_plan(
     scope = scope or PlanScope()
     sequences = tuple(sequences) or tuple(_open_sequences(matrix, registry))
     tried_settings = {codec for _, codec, _ in scope.repeats}
-    codecs = [_codec_side(entry) for entry in matrix.codecs if entry.wanted is None or entry.setting in tried_settings]
+    codecs = [_codec_side(entry) for entry in matrix.codecs if entry.search is None or entry.setting in tried_settings]
     evaluators = [_evaluator_side(entry, registry) for entry in matrix.evaluators]
     jobs: dict[str, CodingJob] = {}
     cells: dict[str, Cell] = {}
@@ -116,7 +116,7 @@ def make_sampled_plan(matrix: Matrix) -> Plan:
     sampled = {
         (entry.name, first, title): ALL_REPEATS for entry in plan.sequences for first in firsts for title in titles
     }
-    settings = [*(entry.setting for entry in matrix.codecs if entry.wanted is None), *firsts]
+    settings = [*(entry.setting for entry in matrix.codecs if entry.search is None), *firsts]
     inputs: dict[tuple[str, PluginSetting, str], dict[str, float] | str] = {
         (entry.name, codec, evaluator.setting.title): dict.fromkeys(evaluator.requires, 0.0)
         for entry in plan.sequences for codec in settings for evaluator in matrix.evaluators if evaluator.requires
@@ -195,7 +195,7 @@ def _open_sequence(entry: Entry, registry: Registry) -> SequenceEntry:
 
 
 def _codec_side(entry: Entry) -> _Side:
-    setting, description, searched = entry.setting, entry.description, entry.wanted is not None
+    setting, description, searched = entry.setting, entry.description, entry.search is not None
     prefix = [setting.kind, setting.name, setting.version]
     if description is None:
         return _Side(setting, ([*prefix, setting.params],), None, entry.missing, searched)

@@ -80,11 +80,11 @@ def find_searches(codecs: Sequence[Entry], evaluators: Sequence[Entry], problems
     """Return the searches of a matrix, with their metrics resolved among what its evaluators declare."""
     members: dict[Where, list[Entry]] = {}
     for entry in codecs:
-        if entry.wanted is not None:
-            members.setdefault(entry.wanted.where, []).append(entry)
+        if entry.search is not None:
+            members.setdefault(entry.search.where, []).append(entry)
     searches = []
     for where, entries in members.items():
-        spec = entries[0].wanted
+        spec = entries[0].search
         assert spec is not None
         settings = tuple(entry.setting for entry in entries)
         if spec.section is None:

@@ -166,7 +166,7 @@ def load_yaml(path: Path) -> tuple[str, Any]:
     """Return the text of a YAML file and its content with positions. Raises MatrixError."""
     try:
         if path.exists() and not path.is_file():
-            raise MatrixError(f"{path}: not a plain file; a matrix is a text file of YAML")  # a pipe would never end
+            raise MatrixError(f"{path}: not a plain file; a matrix is a text file of YAML")  # a pipe might never end
         with path.open(encoding="utf-8") as file:
             text = file.read(MOST_CHARACTERS + 1)
     except FileNotFoundError:
@@ -192,7 +192,7 @@ def parse_yaml(text: str, source: str) -> Any:
 def yaml_text(root: Any) -> str:
     """Return the YAML text of a modified result of `parse_yaml`, with its comments."""
     stream, writer = StringIO(), YAML(typ="rt")
-    writer.width = MOST_CHARACTERS  # lines are not broken
+    writer.width = MOST_CHARACTERS  # do not break lines
     writer.dump(root, stream)
     return stream.getvalue()
 

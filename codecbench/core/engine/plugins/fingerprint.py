@@ -70,7 +70,7 @@ def fingerprint(foreign: str, module: str) -> str:
     content = hashlib.blake2b(digest_size=8)
     has_files = False
     for path in _files(foreign, module):
-        with suppress(OSError):  # it is being replaced; the next look finds it
+        with suppress(OSError):  # it is being replaced; the next call sees it
             state = path.stat()
             content.update(f"{path.name} {_file_digest(path, state.st_size, state.st_mtime_ns)}\n".encode())
             has_files = True
@@ -168,7 +168,7 @@ def _module_file(module: str, top: Path) -> Path | None:
 def _imports(path: Path, package: str, size: int, written_ns: int) -> tuple[str, ...]:
     """Return the names that a file imports: modules, and names that may be modules. Cached by size and time."""
     names: list[str] = []
-    with suppress(SyntaxError, ValueError, RecursionError, ImportError):  # of others, and nothing to run
+    with suppress(SyntaxError, ValueError, RecursionError, ImportError):  # foreign files may be invalid
         for node in ast.walk(ast.parse(path.read_bytes())):
             if isinstance(node, ast.Import):
                 names += [alias.name for alias in node.names]

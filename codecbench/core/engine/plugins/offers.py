@@ -85,7 +85,7 @@ def _cache_file(origin: str) -> Path:
 
 
 def _write_cache(file: Path, value: dict[str, Any]) -> None:
-    with suppress(OSError, TypeError, ValueError):  # of what JSON cannot hold; it is asked again
+    with suppress(OSError, TypeError, ValueError):  # if it cannot be written, the host is asked again
         file.parent.mkdir(parents=True, exist_ok=True)
         new = file.with_suffix(f".{os.getpid()}")
         new.write_text(json.dumps(value), encoding="utf-8")

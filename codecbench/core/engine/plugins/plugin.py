@@ -82,7 +82,7 @@ class Problem:
 def _unmet_requirements(distribution: str, libraries: tuple[str, ...]) -> list[str]:
     """Return those libraries whose installed version does not meet the distribution's metadata."""
     unmet = []
-    with suppress(importlib.metadata.PackageNotFoundError):  # without metadata nothing is asked for
+    with suppress(importlib.metadata.PackageNotFoundError):  # without metadata there are no requirements
         for requirement in _requirements(distribution) if libraries else ():
             if requirement.name.replace("-", "_") in libraries:
                 version = importlib.metadata.version(requirement.name)

@@ -66,11 +66,11 @@ class Registry:
         offers_by_origin = {origin: cached_offers(origin, hosted[origin]) for origin in sorted(hosted)}
         unknown = [self._hosts[origin] for origin, offers in offers_by_origin.items() if offers is None]
         for host in unknown[:_AT_ONCE]:
-            host.start()  # while our own are read
+            host.start()  # they start while codecbench's own plugins are read
         for point in sorted(points, key=own_plugins_first):
             self._admit(point)
         if unknown:
-            from concurrent.futures import ThreadPoolExecutor  # which takes some milliseconds
+            from concurrent.futures import ThreadPoolExecutor  # slow import: some milliseconds
 
             with ThreadPoolExecutor(_AT_ONCE) as pool:
                 new_offers = pool.map(lambda host: ask_offers(host, hosted[host.distribution]), unknown)
@@ -165,7 +165,7 @@ class Registry:
         origin = origin_of(point)
         try:
             module = importlib.import_module(point.module)
-        except Exception as error:  # noqa: BLE001 - a stranger's module may raise anything
+        except Exception as error:  # noqa: BLE001 - foreign modules may raise anything
             reason = f"{point.module} does not import: {describe_error(error)}"
             self._report(origin, point, reason, nameless=True)
             return
@@ -188,7 +188,7 @@ class Registry:
         hook = getattr(manager.hook, f"codecbench_{kind}s")
         try:
             answers = hook()
-        except Exception as error:  # noqa: BLE001 - a stranger's hook may raise anything
+        except Exception as error:  # noqa: BLE001 - foreign hooks may raise anything
             self._report(origin, point, f"codecbench_{kind}s failed: {describe_error(error)}", nameless=True)
             return True
         for answer in answers:

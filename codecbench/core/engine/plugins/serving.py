@@ -12,6 +12,7 @@ import gc
 import importlib
 import json
 import os
+import random
 import shutil
 import signal
 import sys
@@ -41,7 +42,7 @@ def serve(descriptors: list[int], distribution: str, folder: str) -> None:
     """
     _state["distribution"] = distribution
     keep_memory()
-    tempfile.tempdir = folder  # also when a plugin has removed it: otherwise the system's would be the next
+    tempfile.tempdir = folder  # even if a plugin removes it; otherwise the system's would be used
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     crash = os.open(os.path.join(folder, CRASH_FILE), os.O_WRONLY | os.O_CREAT, 0o600)
@@ -85,7 +86,7 @@ def create_plugin(kind: Any, name: str, params: dict[str, Any], seed: int) -> Ex
     code = code_of(registry().find(kind, name))
     instance = registry().create(kind, name, params)
     version = instance.version
-    gc.freeze()  # so that looking for garbage takes no measurement of time long
+    gc.freeze()  # keeps garbage collection out of time measurements
     if kind == "dataset":
         return Exposed("sequence", instance.open(), code=code, of_version=version)
     return Exposed(kind, instance, code=code, of_version=version)
@@ -99,13 +100,11 @@ def keep_memory() -> None:
 
 def seed_generators(seed: int) -> None:
     """Seed the global generators, so that foreign code that uses them gives the same results in every order."""
-    import random
-
-    import cv2
+    import cv2  # slow, and hosts that only list plugins do not need them
     import numpy as np
 
     seed %= 1 << 32
     cv2.setNumThreads(1)
     cv2.setRNGSeed(seed >> 1)
     random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002 - for code of others that draws from the global generator
+    np.random.seed(seed)  # noqa: NPY002 - for foreign code that uses the global generator

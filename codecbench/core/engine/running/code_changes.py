@@ -87,7 +87,7 @@ class _Today:
         try:
             record = store.read_record(cell.id)
         except StoreError:
-            return  # damaged or gone, which is another reason
+            return  # damaged or gone: reported elsewhere
         by_label = {code_label(setting.kind, setting.name): setting for setting in cell.plugins}
         by_label[BITSTREAMS_LABEL] = cell.codec
         seen = set()

@@ -47,7 +47,7 @@ class FrameCache:
                 return frame
             frames[index] = frame
             self.used_bytes += frame.image.nbytes
-        # A copy, so that whoever writes into it harms nobody; it shares what is cached of the kept frame.
+        # A copy, so that writing into it is harmless; it shares cached properties with the stored frame.
         return replace(frame, image=frame.image.copy())
 
     def _make_room(self, size_bytes: int, kept_fingerprint: str) -> bool:

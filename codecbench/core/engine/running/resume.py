@@ -107,7 +107,7 @@ def _changed_default(cell: Cell, store: Store) -> str | None:
     try:
         described = store.read_record(cell.id).cell
     except StoreError:
-        return None  # damaged or gone, which is another reason
+        return None  # damaged or gone: reported elsewhere
     stored = [described.get("codec"), described.get("evaluator"), *described.get("uses", ())]
     for before, setting in zip(stored, (cell.codec, cell.evaluator, *cell.evaluator.uses), strict=False):
         reason = _changed_parameter(before["params"], setting) if before else "its record does not say which"

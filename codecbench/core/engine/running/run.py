@@ -150,7 +150,7 @@ class _Run:
             finished = self.executor.next_finished(_POLL_S)
             while finished is not None:
                 if interruption.requested and finished.status == "crashed":
-                    break  # the signal may have ended the worker, or what starts workers: that says nothing of the cell
+                    break  # the signal may have killed the worker, which says nothing about the cell
                 self._handle_finished(finished)
                 self._submit_ready()
                 finished = self.executor.next_finished(0.0)
@@ -159,7 +159,7 @@ class _Run:
 
     def _start(self) -> None:
         """Determine which kernels the cells will call, and start the workers."""
-        if not self.warm_up and self.executor.shares_files:  # elsewhere each machine has a cache, any worker on any
+        if not self.warm_up and self.executor.shares_files:  # otherwise each machine has its own cache
             self.warm_up = kernels_to_compile(self.schedule.cells.values(), self.registry)
         if not self.started:
             waiting = len(self.schedule) + len(self.warm_up)

@@ -34,7 +34,7 @@ def log_to(path: Path, level: int) -> Iterator[None]:
 class _LogFile(logging.FileHandler):
     """A log that drops lines that cannot be written: failing records already reveal a full disk."""
 
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - named by logging
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - name given by logging
         pass
 
 

@@ -186,7 +186,7 @@ def missing_kernels(
     """
     if not calls:
         return {}
-    from codecbench.core.kernels.manifest import Entry  # loads numba, which a plan without kernels has no need of
+    from codecbench.core.kernels.manifest import Entry  # loads numba, which a plan without kernels does not need
 
     by_plugin: dict[tuple[Kind, str], list[str]] = {}
     for kind, name, kernels in calls:
@@ -201,8 +201,8 @@ def missing_kernels(
             continue
         for problem in answer["problems"]:
             log.warning("%s", problem)
-        kernels = [Entry(**values) for values in answer["entries"]]
-        entries |= {e: "" if e.kernel.startswith("codecbench.") else origin for e in kernels}
+        missing = [Entry(**values) for values in answer["entries"]]
+        entries |= {e: "" if e.kernel.startswith("codecbench.") else origin for e in missing}
     return entries
 
 
@@ -221,7 +221,7 @@ def missing_entries(_: Registry, names: list[str], builds: list[str], include_ca
 
     include_cached: also entries that it has.
     """
-    from codecbench.core.kernels.manifest import ManifestError, entries_of
+    from codecbench.core.kernels.manifest import ManifestError, entries_of  # loads numba
 
     entries: dict[Entry, None] = {}
     problems: list[str] = []

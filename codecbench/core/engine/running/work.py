@@ -70,7 +70,7 @@ def prepare_worker() -> None:
 
     What is loaded stays: garbage collection of it would add a tenth of a second to each time measurement.
     """
-    import pyarrow
+    import pyarrow  # only workers need it
     import pyarrow.parquet
 
     pyarrow.set_cpu_count(1)
@@ -95,7 +95,7 @@ def perform(item: WorkItem, bench: Workbench | None = None) -> Record | Bitstrea
         record = do(work, item, bench, position)  # type: ignore[arg-type]
     except BitstreamDamage as damage:
         return BitstreamDamage(_reason(damage, position))
-    except BaseException as error:  # noqa: BLE001 - a cell's failure, whatever it is, becomes its record
+    except BaseException as error:  # noqa: BLE001 - every failure of a cell becomes its record
         if isinstance(error, OSError) and error.errno in _FULL and position.stage == WRITE:
             return error
         record = _failure(work, error, position)

@@ -81,7 +81,7 @@ def _versions() -> dict[str, str]:
 
 def _bundled_libraries() -> dict[str, str]:
     """Return the versions of image libraries inside OpenCV, from its build information."""
-    import cv2
+    import cv2  # only workers need it
 
     libraries = {}
     for line in cv2.getBuildInformation().splitlines():

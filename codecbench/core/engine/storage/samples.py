@@ -89,7 +89,7 @@ def parquet_from_samples(samples: list[Measurement]) -> bytes:
 
     The columns are built from buffers, because `pyarrow.array` imports pandas: half a second in every worker.
     """
-    import pyarrow as pa
+    import pyarrow as pa  # slow, and most commands do not need it
     import pyarrow.parquet as pq
 
     values = np.array([sample.value for sample in samples], np.float64)

@@ -37,7 +37,7 @@ def map_until_failure(codec: AnyCodec[Any], method: str, inputs: list[Any]) -> l
     This runs in the codec's process, because passing items singly can take as long as coding them.
     """
     results: list[Any] = []
-    with suppress(BaseException):  # the call that shows what is wrong comes after
+    with suppress(BaseException):  # the caller repeats the failing call to get its error
         results.extend(map(getattr(codec, method), inputs))
     return results
 
@@ -82,7 +82,7 @@ class StreamPictures:
 
     def _decoded(self, frame: int, original: Image) -> Image:
         decoder = self._decoder_for(frame)
-        self._decoder = None  # one that raises is not used again
+        self._decoder = None  # not reused if it raises
         while self._next < len(self._packets):
             sent = self._packets[self._next]
             self._next += 1
@@ -175,7 +175,7 @@ class ShuffledPictures:
     def picture(self, frame: int, original: Image) -> Image:
         """Return the picture of a frame. Raises CodingError if it is no image of the original's shape."""
         if frame not in self._ready:
-            if frame in self._requested:  # who looks back does not lose what lies ahead
+            if frame in self._requested:  # stepping back keeps the frames decoded ahead
                 self._decode([frame])
             else:
                 self._ready = {}
@@ -192,7 +192,7 @@ class ShuffledPictures:
                 if len(self._sample) < _RECHECKED_FRAMES
                 else self._chance.randrange(len(self._requested))
             )
-            if place < _RECHECKED_FRAMES:  # each of the frames so far is as likely to be among the chosen
+            if place < _RECHECKED_FRAMES:  # reservoir sampling: all frames so far are equally likely
                 self._sample[place:] = [(frame, zlib.crc32(image.data)), *self._sample[place + 1 :]]
         return image
 
@@ -271,7 +271,7 @@ class CheckedDecoder:
             if picture.state != "whole":
                 raise CodingError(f"the decoder says that frame {frame} is {picture.state}, though nothing was lost")
             self.decoded_frames.add(frame)
-            images[frame] = check_decoding(picture.image, original).copy()  # decoders go on writing into theirs
+            images[frame] = check_decoding(picture.image, original).copy()  # decoders reuse their buffers
         return images
 
 
@@ -279,9 +279,9 @@ def check_decoding(decoded: object, original: Image) -> Image:
     """Return a contiguous writable image after checking its type, dtype and shape against the frame's."""
     if not isinstance(decoded, np.ndarray):
         raise CodingError(f"decode returned {type(decoded).__name__}; a decoded frame is a numpy array")
-    image = np.ascontiguousarray(decoded)  # first, because what only claims to be an array may become another
+    image = np.ascontiguousarray(decoded)  # first, because an array subclass may change here
     if image.dtype != np.uint8:
         raise CodingError(f"decode returned dtype {image.dtype}; a decoded frame is uint8")
     if image.shape != original.shape:
         raise CodingError(f"decode returned shape {image.shape}; the frame has {original.shape}")
-    return image if image.flags.writeable else image.copy()  # kernels are compiled anew for arrays of another kind
+    return image if image.flags.writeable else image.copy()  # numba recompiles for read-only arrays

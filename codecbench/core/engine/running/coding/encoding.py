@@ -103,7 +103,7 @@ class CheckedEncoder:
         returned = f"the packet of frame {packet.frame} holds" if self._gives_packets else "encode returned"
         if not isinstance(packet.data, bytes):
             raise CodingError(f"{returned} {type(packet.data).__name__}; a bitstream is bytes")
-        data = memoryview(packet.data).tobytes()  # whatever a subclass of bytes says of itself
+        data = memoryview(packet.data).tobytes()  # a subclass of bytes may override everything else
         if not data:
             raise CodingError(f"{returned} no bytes")
         return data

@@ -35,7 +35,7 @@ class StreamFeatures:
     def features(self, frame: int) -> Features:
         """Return the features of a frame. Raises CodingError if the decoder returns anything else."""
         start = self._starts[bisect_right(self._starts, frame) - 1]
-        decoder, self._decoder = self._decoder, None  # one that raises is not used again
+        decoder, self._decoder = self._decoder, None  # not reused if it raises
         if decoder is None or not start <= self._next <= frame:
             decoder, self._next = self._codec.open_decoder(), start
         while True:

@@ -26,7 +26,7 @@ class WorkPosition:
     """Plugins of other distributions by the stage at which their code runs."""
 
     def at(self, stage: str, frame: int | None = None) -> None:
-        self.stage, self.frame = str(stage), frame  # a host may have said so
+        self.stage, self.frame = str(stage), frame  # a host may send any type
 
     def __str__(self) -> str:
         place = self.stage if self.frame is None else f"{self.stage}, frame {self.frame}"
