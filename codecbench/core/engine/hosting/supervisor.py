@@ -64,9 +64,15 @@ _SIOCSIFFLAGS, _IFF_UP = 0x8914, 1
 def main(request: str) -> NoReturn:
     """Supervise a host, and exit as it does: with its status, or 128 plus the number of the signal that ended it.
 
-    request, as JSON: `sys.path` of the host; whether it ends with the thread that started this; paths that it sees if
-    it is confined, otherwise None; its descriptors; its folder; the function `module:name` that it calls, and its
-    arguments.
+    request: a JSON list of these items.
+
+        paths          `sys.path` of the host
+        dies           whether it ends with the thread that started this
+        shows          paths that it sees if it is confined, otherwise None
+        descriptors    its own descriptors
+        folder         its folder
+        function       the function `module:name` that it calls
+        arguments      arguments of that function
     """
     paths, dies, shows, descriptors, folder, function, arguments = json.loads(request)
     if sys.platform == "linux":

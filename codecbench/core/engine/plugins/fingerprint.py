@@ -1,10 +1,13 @@
 """Fingerprint a plugin's code: it changes with every edit, whether or not a version was raised.
 
-The fingerprint covers, without importing anything: for another distribution installed as copied files, its version and
-its RECORD; for one loaded from its source (editable, or found on the path), the files of the plugin's package and the
-modules beside it that the plugin imports, directly or not; for codecbench's own, the modules outside the core that the
-plugin imports. The core's effect on results is in every identity (`RECORD_FORMAT`), and an edit of one codec does not
-concern another.
+Nothing is imported. The fingerprint depends on how the plugin was installed:
+
+    another distribution, copied files   its version and its RECORD
+    another distribution, from source    the files of the plugin's package, and modules beside it that it imports
+    codecbench's own plugin              the modules outside the core that it imports
+
+Imports count directly or not. The core's effect on results is in every identity (`RECORD_FORMAT`), and an edit of one
+codec does not concern another.
 """
 
 from __future__ import annotations

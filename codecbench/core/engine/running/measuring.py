@@ -60,29 +60,29 @@ def measure(
 
     Raises MeasurementError for invalid measurements or artifacts, and whatever the evaluator raises.
     """
-    check = MeasurementCheck(evaluator, len(sequence))
+    checks = MeasurementCheck(evaluator, len(sequence))
     with tempfile.TemporaryDirectory(prefix="codecbench-cell-") as folder:
         context = Context(np.random.default_rng(cell.seed), cell.repeat, Path(folder), plugins, cell.inputs)
         position.at("evaluate")
         if isinstance(evaluator, CodecEvaluator):
-            measurements = list(check.checked(evaluator.evaluate(subject, sequence, context)))  # type: ignore[arg-type]
+            measurements = list(checks.check(evaluator.evaluate(subject, sequence, context)))  # type: ignore[arg-type]
         else:
-            measurements = list(_measure_coded(evaluator, subject, context, check, position))  # type: ignore[arg-type]
+            measurements = list(_measure_coded(evaluator, subject, context, checks, position))  # type: ignore[arg-type]
         position.at("artifacts")
         return Measured(tuple(evaluator.metrics), tuple(measurements), _artifacts(Path(folder)))
 
 
 def _measure_coded(
-    evaluator: Evaluator[Any], coded: CodedSequence, context: Context, check: MeasurementCheck, position: Position
+    evaluator: Evaluator[Any], coded: CodedSequence, context: Context, checks: MeasurementCheck, position: Position
 ) -> Iterator[Measurement]:
     """Yield the measurements of an evaluator of coded frames."""
     if isinstance(evaluator, SequenceEvaluator):
-        yield from check.checked(evaluator.evaluate(coded, context))
+        yield from checks.check(evaluator.evaluate(coded, context))
     elif isinstance(evaluator, FrameEvaluator):
         for index in range(len(coded)):
             frame = coded.frame(index)
             position.at("evaluate", index)
-            yield from check.checked(evaluator.evaluate(frame), index)
+            yield from checks.check(evaluator.evaluate(frame), index)
     else:
         kinds = "FrameEvaluator, SequenceEvaluator or CodecEvaluator"
         raise PluginError(f"{type(evaluator).__name__} is not a {kinds}; subclass one of them")
@@ -128,7 +128,7 @@ def measure_in_host(
     bench.check(setting, *version_and_code)
     if not isinstance(measured, Measured) or not all(isinstance(metric, Metric) for metric in measured.metrics):
         raise PluginError(f"evaluate returned {type(measured).__name__}")
-    checked = MeasurementCheck(measured, len(sequence)).checked(measured.measurements)  # type: ignore[arg-type]
+    checked = MeasurementCheck(measured, len(sequence)).check(measured.measurements)  # type: ignore[arg-type]
     for name, content in measured.artifacts.items():
         _check_name(str(name), isinstance(content, bytes))
     return replace(measured, measurements=tuple(checked))

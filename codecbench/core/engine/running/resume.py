@@ -1,4 +1,4 @@
-"""Determine where a run starts: which cells an earlier run in the folder computed, and why others must be computed.
+"""Determine where a run starts: which cells an earlier run computed, and why others must be computed.
 
 A record with status `ok` is kept as long as it is intact, its plugins' parameters would be the same today, and nobody
 asks by name to recompute it. If its plugins' code has changed, it is kept and the run says so. Cells that failed,

@@ -52,8 +52,8 @@ def run_plan(
     recompute: names of codecs, evaluators and sequences whose cells are computed again. The listener is called after
     every job and cell. SIGINT, SIGTERM and SIGHUP end the run within seconds; everything recorded is kept.
 
-    Raises StoreError if the folder is in use or cannot be written, ParamsError for a name in `recompute` that the plan
-    does not have, and CodecbenchError if plugins are to be confined and cannot be.
+    Raises StoreError if the folder is in use or cannot be written, and ParamsError for a name in `recompute` that the
+    plan does not have. Raises CodecbenchError if plugins are to be confined and cannot be.
     """
     store = Store(folder)
     setting = plan.run.executor

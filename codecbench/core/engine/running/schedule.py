@@ -23,7 +23,7 @@ class _Ready:
 class Schedule:
     """The remaining work of a plan.
 
-    Work goes sequence by sequence, so that a worker reads each frame once for many settings, and within a sequence the
+    Work goes sequence by sequence, so that a worker reads each frame once for many settings. Within a sequence, the
     cells of a setting follow as soon as it is encoded. Exclusive cells come last, ordered by repeat and then by codec,
     so that drift (temperature, clock) affects all codecs alike.
     """

@@ -7,9 +7,10 @@ the index and carries CRCs of the index and of itself. A torn or damaged file is
 damaged bitstream when it is read. The footer also has a BLAKE2b digest of everything before it, so that copies can be
 compared by their last bytes.
 
-A stream of an inter-frame codec has a different magic. Its packets are in sending order, and each index entry adds: the
-frame, after how many frames the packet came out, whether decoding can start at it, and after how many frames pictures
-are whole (recovery points). Earlier files, with another magic, lack the last. This module does not know codecs.
+A stream of an inter-frame codec has a different magic, and its packets are in sending order. Each index entry adds the
+frame, after how many frames the packet came out, and whether decoding can start at it. For recovery points it adds
+after how many frames pictures are whole; earlier files, with another magic, lack that. This module does not know
+codecs.
 
 Beside each file is a note of which code of the codec wrote it.
 """

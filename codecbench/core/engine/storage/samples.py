@@ -40,12 +40,12 @@ class MeasurementCheck:
         self._most_of_frames = min(MOST_A_FRAME * frames, MOST_OF_FRAMES)
         self._without_frame = self._of_frames = 0
 
-    def checked(self, measurements: Iterable[Measurement], frame: int | None = None) -> Iterator[Measurement]:
+    def check(self, measurements: Iterable[Measurement], frame: int | None = None) -> Iterator[Measurement]:
         """Yield the measurements, with `frame` filled in if given. Raises MeasurementError at the first invalid one."""
         for measurement in measurements:
-            yield self._checked(measurement, frame)
+            yield self._check_one(measurement, frame)
 
-    def _checked(self, measurement: object, frame: int | None) -> Measurement:
+    def _check_one(self, measurement: object, frame: int | None) -> Measurement:
         if not isinstance(measurement, Measurement):
             raise MeasurementError(f"yielded {type(measurement).__name__}; evaluators yield Measurement")
         name, value = measurement.metric, measurement.value

@@ -100,7 +100,7 @@ class CodedFrames:
         original = self.sequence.read(index)
         bitstream = self._bitstreams.read(index)
         self._position.at("decode", index)
-        decoded = self._decoded(index, bitstream, original.image)
+        decoded = self._decode(index, bitstream, original.image)
         self._position.at(outer_stage, index)
         return CodedFrame(original, bitstream, decoded)
 
@@ -139,7 +139,7 @@ class CodedFrames:
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} is not one of 0..{len(self) - 1}")
 
-    def _decoded(self, index: int, bitstream: bytes, original: Image) -> Image:
+    def _decode(self, index: int, bitstream: bytes, original: Image) -> Image:
         if self._stream is not None:
             return self._stream.picture(index, original)
         if self._shuffled is not None:

@@ -78,9 +78,9 @@ class StreamPictures:
         image = self._cached.get(frame)
         if image is None:
             image = self._shared.get(frame)
-        return (self._decoded(frame, original) if image is None else image).copy()
+        return (self._decode_until(frame, original) if image is None else image).copy()
 
-    def _decoded(self, frame: int, original: Image) -> Image:
+    def _decode_until(self, frame: int, original: Image) -> Image:
         decoder = self._decoder_for(frame)
         self._decoder = None  # not reused if it raises
         while self._next < len(self._packets):
@@ -250,13 +250,13 @@ class CheckedDecoder:
 
     def push(self, packet: Packet, original: Image) -> dict[int, Image]:
         """Return the pictures that are ready after a packet, by frame. original: an image of their shape."""
-        return self._checked(self._decoder.push(packet), original)
+        return self._check_pictures(self._decoder.push(packet), original)
 
     def flush(self, original: Image) -> dict[int, Image]:
         """Return the pictures that were held back."""
-        return self._checked(self._decoder.flush(), original)
+        return self._check_pictures(self._decoder.flush(), original)
 
-    def _checked(self, pictures: object, original: Image) -> dict[int, Image]:
+    def _check_pictures(self, pictures: object, original: Image) -> dict[int, Image]:
         if not isinstance(pictures, list):
             raise CodingError(f"the decoder returned {type(pictures).__name__}; it returns a list of Pictures")
         images: dict[int, Image] = {}

@@ -66,21 +66,21 @@ class CheckedEncoder:
         """Return the packets after this image. bitstream: of an intra-only codec, if already encoded."""
         packets = self._encoder.push(image) if bitstream is None else [Packet(bitstream, self._pushed, starts=True)]
         self._pushed += 1
-        return self._checked(packets, "push")
+        return self._check_packets(packets, "push")
 
     def flush(self) -> list[CodedPacket]:
-        packets = self._checked(self._encoder.flush(), "flush")
+        packets = self._check_packets(self._encoder.flush(), "flush")
         if missing := sorted(set(range(self._pushed)) - self._sent):
             shown = ", ".join(map(str, missing[:5])) + (", ..." if len(missing) > 5 else "")
             raise CodingError(f"{len(missing)} of {self._pushed} frames have no packet after flush: {shown}")
         return packets
 
-    def _checked(self, packets: object, call: str) -> list[CodedPacket]:
+    def _check_packets(self, packets: object, call: str) -> list[CodedPacket]:
         if not isinstance(packets, list):
             raise CodingError(f"{call} returned {type(packets).__name__}; it returns a list of Packets")
-        return [self._checked_packet(packet, call) for packet in packets]
+        return [self._check_packet(packet, call) for packet in packets]
 
-    def _checked_packet(self, packet: object, call: str) -> CodedPacket:
+    def _check_packet(self, packet: object, call: str) -> CodedPacket:
         if not isinstance(packet, Packet):
             raise CodingError(f"{call} returned a list with {type(packet).__name__}; it holds Packets")
         frame, starts = packet.frame, packet.starts
