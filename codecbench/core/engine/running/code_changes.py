@@ -57,10 +57,10 @@ def code_notices(plan: Plan, kept_entries: Mapping[str, IndexEntry], store: Stor
             continue
         if pair not in differences:
             differences[pair] = list(today.differences(cell, code, store))
-        for title, what, name in differences[pair]:
-            change = changes.setdefault((title, what), _Change(what))
+        for title, description, kind in differences[pair]:
+            change = changes.setdefault((title, description), _Change(description))
             change.cells.add(cell.id)
-            change.names[_recompute_name(cell, name)] = None
+            change.names[_recompute_name(cell, kind)] = None
     lines = [change.line(title) for (title, _), change in changes.items()]
     if unknown:
         lines.append(f"{unknown} kept cell(s) were computed before codecbench recorded the code of plugins; whether it "
