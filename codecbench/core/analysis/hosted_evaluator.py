@@ -89,7 +89,7 @@ def compare_on_host(
     evaluator: Evaluator[Any] = registry.create("evaluator", name, params)
     yielded = evaluator.compare(_outcome_from_json(outcome), [_outcome_from_json(other) for other in baseline])
     try:
-        return [json_from_measurement(measurement) for measurement in MeasurementCheck(evaluator, 0).checked(yielded)]
+        return [json_from_measurement(measurement) for measurement in MeasurementCheck(evaluator, 0).check(yielded)]
     except MeasurementError as error:
         raise PluginError(f"compare: {error}") from error
 
