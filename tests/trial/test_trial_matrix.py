@@ -46,7 +46,7 @@ def test_it_is_a_matrix_with_raw_and_what_was_asked_for(tmp_path: Path) -> None:
     assert plan.name == "try-my-pictures"
     assert codecs_of(made.text) == {"raw", "jpeg"}
     (search,) = matrix.searches
-    assert search.aim is None, "what is sought is the coarsest that passes"
+    assert search.objective is None, "what is sought is the coarsest that passes"
     assert [setting.params["quality"] for setting in search.settings] == [
         5, 11, 17, 23, 29, 35, 41, 48, 54, 60, 66, 72, 78, 84, 90
     ]  # fmt: skip

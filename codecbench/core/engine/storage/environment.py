@@ -94,7 +94,7 @@ def _bundled_libraries() -> dict[str, str]:
 @functools.cache
 def _checkout() -> dict[str, Any] | None:
     """Return the commit of codecbench's source tree and whether it has changes; None outside a checkout."""
-    folder = Path(__file__).resolve().parents[3]
+    folder = Path(__file__).resolve().parents[4]
     if not (folder / ".git").exists():
         return None
     commit = _git(folder, "rev-parse", "HEAD")
