@@ -119,7 +119,7 @@ def relative_time(call: Callable[[], object], yardstick_ms: float | None = None)
 
     With `yardstick_ms` only pairs count whose yardstick takes about that long; None where there are too few of them.
     """
-    from codecbench.plugins.evaluators.timing.clock import repeated, yardstick
+    from codecbench.plugins.evaluators.timed_calls import repeated, yardstick
 
     call()
     ratios: list[float] = []

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.engine.plugins.registry import Registry
-from codecbench.plugins.evaluators.timing.clock import timed, yardstick
+from codecbench.plugins.evaluators.timed_calls import timed, yardstick
 from codecbench.trial.recording import Recording
 
 _USUAL_MS: Final = 0.7

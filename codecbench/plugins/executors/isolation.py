@@ -27,7 +27,7 @@ from typing import Any, Final
 import psutil
 
 from codecbench.core.contracts.executor import Task
-from codecbench.core.contracts.held_folder import left_running
+from codecbench.core.contracts.held_folder import HeldFolder, left_running
 from codecbench.plugins.executors.fork_server import Surroundings
 from codecbench.plugins.executors.process_tree import kill_tree, private_mb, tree_mb
 
@@ -208,3 +208,30 @@ def _end_children() -> None:
                 with suppress(psutil.NoSuchProcess):
                     child.kill()  # one of this process's own group
                 os.waitpid(child.pid, 0)  # its own children are this process's by now
+
+
+_PREFIX: Final = "codecbench-workers-"
+_ROOM_BYTES: Final = 1 << 16
+
+
+class WorkerFolder(HeldFolder):
+    """A new folder in `parent`, by default the system's for temporary files. Raises OSError on a full disk.
+
+    Folders that pools left whose process was killed are removed first.
+    """
+
+    def __init__(self, parent: str | None = None) -> None:
+        super().__init__(_PREFIX, parent)
+        room = self.path / "room"
+        try:  # on a full disk every worker would end before it began
+            with open(room, "w", encoding="ascii") as file:
+                file.write("\0" * _ROOM_BYTES)
+            room.unlink()
+        except OSError as error:
+            self.remove()
+            error.filename = str(self.path.parent)
+            raise
+
+    def files(self, number: int) -> WorkerFiles:
+        """Where the worker of this number keeps its files."""
+        return WorkerFiles(*(self.path / f"{number}.{ending}" for ending in ("json", "out", "tmp")))

@@ -25,9 +25,8 @@ from pebble import ProcessExpired, ProcessPool
 
 from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.plugins.executors.fork_server import Surroundings, server_pid, worker_context
-from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, begun_by, enter_worker, perform
+from codecbench.plugins.executors.isolation import RETIRED, WorkerFiles, WorkerFolder, begun_by, enter_worker, perform
 from codecbench.plugins.executors.process_tree import kill_tree, runs, tree_mb
-from codecbench.plugins.executors.worker_folder import WorkerFolder
 
 _POLL_S: Final = 0.1
 _START_S: Final = 180.0

@@ -4,9 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from codecbench.core.contracts.link import Channel, Passage
-from codecbench.plugins.links.chance import drawn
-from codecbench.plugins.links.queued import Distribution, RadioLink, RadioParams, Share
+from codecbench.core.contracts.link import Channel, Link, Passage
+from codecbench.core.contracts.params import NoParams
+from codecbench.plugins.links.queued import Flight, RadioLink, RadioParams, Share, drawn
+
+
+class Ideal(Link[NoParams]):
+    """No packet waits, travels or is lost."""
+
+    name = "ideal"
+    version = "1"
+    params_type = NoParams
+
+    def open(self, rng: np.random.Generator) -> Channel:
+        return _IdealChannel()
+
+
+class _IdealChannel(Channel):
+    def carry(self, size_bytes: int, start_s: float) -> Passage:
+        return Passage(start_s, start_s)
 
 
 class ConstantParams(RadioParams):
@@ -38,16 +54,3 @@ class _ConstantChannel(Channel):
         if self._loss and next(self._chances) < self._loss:
             return Passage(sent_s, None)
         return Passage(sent_s, sent_s + self._flight.duration_s())
-
-
-class Flight:
-    """How long packets are on their way: a delay and jitter."""
-
-    def __init__(self, delay_ms: float, jitter_ms: float, jitter: Distribution, rng: np.random.Generator) -> None:
-        self._delay_s = 1e-3 * delay_ms
-        self._jitter_s = 1e-3 * jitter_ms if jitter == "exponential" else 2e-3 * jitter_ms
-        self._drawn = drawn(rng.standard_exponential if jitter == "exponential" else rng.random)
-
-    def duration_s(self) -> float:
-        """Of the next packet."""
-        return self._delay_s + self._jitter_s * next(self._drawn) if self._jitter_s else self._delay_s

@@ -11,9 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from codecbench.core.contracts.link import Channel, Passage
-from codecbench.plugins.links.chance import drawn
-from codecbench.plugins.links.constant import Flight
-from codecbench.plugins.links.queued import Duration, RadioLink, RadioParams, Share
+from codecbench.plugins.links.queued import Duration, Flight, RadioLink, RadioParams, Share, drawn
 
 
 class GilbertElliottParams(RadioParams):

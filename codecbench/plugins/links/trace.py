@@ -21,8 +21,7 @@ from pydantic import Field
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.link import Channel, Passage
 from codecbench.core.contracts.params import PathParam
-from codecbench.plugins.links.chance import drawn
-from codecbench.plugins.links.queued import QueuedLink, QueuedParams, Share
+from codecbench.plugins.links.queued import QueuedLink, QueuedParams, Share, drawn
 
 OPPORTUNITY_BYTES: Final = 1500
 

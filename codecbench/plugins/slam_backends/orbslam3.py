@@ -23,8 +23,7 @@ from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, Frame
 from codecbench.core.contracts.slam import SlamBackend, SlamRun, TrackedFrame
 from codecbench.plugins.slam_backends.conversation import Conversation
-from codecbench.plugins.slam_backends.orbslam3_log import PrintedEvents
-from codecbench.plugins.slam_backends.orbslam3_result import TrackedPose, run_from_files
+from codecbench.plugins.slam_backends.orbslam3_output import PrintedEvents, TrackedPose, run_from_files
 from codecbench.slam.places.vocabulary import Vocabulary
 
 SYSTEM_LIBRARIES: Final = "libgl1 libegl1 libopengl0 libsm6 libice6 libx11-6 libxext6"

@@ -20,9 +20,8 @@ from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.delivery import Delivery, deliver
 from codecbench.core.simulation.receiver import Ranges
 from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
-from codecbench.plugins.links.constant import Constant
+from codecbench.plugins.links.constant import Constant, Ideal
 from codecbench.plugins.links.gilbert_elliott import GilbertElliott
-from codecbench.plugins.links.ideal import Ideal
 from codecbench.plugins.links.trace import Trace, embedded
 
 HEADERS = {"mtu": 1000, "header_bytes": 0}

@@ -20,11 +20,9 @@ from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 from codecbench.core.engine.planning.description import without_defaults
-from codecbench.plugins.evaluators.localization import Localization
-from codecbench.plugins.evaluators.localization.evaluator import _measured
-from codecbench.plugins.evaluators.localization.reference_map import LocalizedPose
-from codecbench.plugins.links.constant import Constant
-from codecbench.plugins.links.ideal import Ideal
+from codecbench.plugins.evaluators.localization import Localization, _measured
+from codecbench.plugins.evaluators.reference_map import LocalizedPose
+from codecbench.plugins.links.constant import Constant, Ideal
 from codecbench.plugins.slam_backends.orb import Orb
 
 CAMERA = Camera(VIEW.width, VIEW.height, VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)

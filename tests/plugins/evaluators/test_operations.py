@@ -25,8 +25,8 @@ from codecbench.plugins.codecs.jpeg2000 import Jpeg2000
 from codecbench.plugins.codecs.jpeg_qf.codec import JpegQf
 from codecbench.plugins.codecs.multilevel import Multilevel
 from codecbench.plugins.codecs.raw import Raw
-from codecbench.plugins.evaluators.operations import Operations, codec_models, machine, machine_child
-from codecbench.plugins.evaluators.operations.instructions import classified, counters_of, read_profile, relocated
+from codecbench.plugins.evaluators.operations import Operations, machine, machine_child, model
+from codecbench.plugins.evaluators.operations.machine import classified, counters_of, read_profile, relocated
 
 FRAMES = MemorySequence([textured(480, 640, seed) for seed in range(3)])
 SMALL = MemorySequence([textured(24, 32, seed) for seed in range(5)])
@@ -117,7 +117,7 @@ def test_families_have_one_spelling() -> None:
 )
 def test_all_planes_of_a_colour_image(codec: Any, samples: float) -> None:
     image = np.zeros((480, 640, 3), np.uint8)
-    planes = codec_models.coded_planes(image, codec.params.model_dump())
+    planes = model.coded_planes(image, codec.params.model_dump())
     assert sum(plane.samples for plane in planes) == samples * 480 * 640
 
 
@@ -131,7 +131,7 @@ def test_the_measured_share_is_that_of_the_coefficients_in_the_file() -> None:
         for column in range(0, 64, 8):
             block = cv2.dct(image[row : row + 8, column : column + 8].astype(np.float64) - 128)
             nonzero += np.count_nonzero(np.round(np.abs(block) / steps))
-    assert codec_models.measured_nonzero_share(image, bitstream) == pytest.approx(nonzero / image.size, abs=2e-3)
+    assert model.measured_nonzero_share(image, bitstream) == pytest.approx(nonzero / image.size, abs=2e-3)
     assert 0 < nonzero / image.size < 0.5
 
 

@@ -18,8 +18,7 @@ from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile, write_stream
-from codecbench.plugins.evaluators.stream import Stream
-from codecbench.plugins.evaluators.stream.joining import joined_places
+from codecbench.plugins.evaluators.stream import Stream, joined_places
 
 JOB = "0f" * 16
 

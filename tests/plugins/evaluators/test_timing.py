@@ -17,8 +17,8 @@ from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
+from codecbench.plugins.evaluators.timed_calls import repeated
 from codecbench.plugins.evaluators.timing import Timing
-from codecbench.plugins.evaluators.timing.clock import repeated
 
 pytestmark = pytest.mark.usefixtures(held_clock.__name__)
 

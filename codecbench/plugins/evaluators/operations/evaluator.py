@@ -24,7 +24,7 @@ from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.view import View
 from codecbench.core.counting.operations import CLASSES, COUNTERS, OperationCounts
 from codecbench.core.counting.trace import CountingTrace
-from codecbench.plugins.evaluators.operations import codec_models, machine
+from codecbench.plugins.evaluators.operations import machine, model
 from codecbench.plugins.evaluators.operations.model import PAPER_NONZERO_SHARE, Plane, Stages
 from codecbench.plugins.evaluators.sampling import evenly_spread
 
@@ -135,7 +135,7 @@ class Operations(CodecEvaluator[OperationsParams]):
         return available
 
     def _has_model(self, codec: AnyCodec[Any]) -> bool:
-        return codec_models.has_model(codec.name, codec.params.model_dump())
+        return model.has_model(codec.name, codec.params.model_dump())
 
     def _count(self, family: Family, codec: AnyCodec[Any], image: Image) -> dict[str, OperationCounts]:
         if family == "source":
@@ -149,11 +149,11 @@ class Operations(CodecEvaluator[OperationsParams]):
         values = codec.params.model_dump()
         height, width = image.shape[:2]
         every = self.params.planes == "all"
-        planes = codec_models.coded_planes(image, values) if every else [Plane(width, height)]
+        planes = model.coded_planes(image, values) if every else [Plane(width, height)]
         share = PAPER_NONZERO_SHARE
         if self.params.nonzero_share == "measured" and codec.name.startswith("jpeg") and codec.name != "jpeg2000":
-            share = codec_models.measured_nonzero_share(image, codec.encode(image))
-        return codec_models.modelled(codec.name, values, planes, share)
+            share = model.measured_nonzero_share(image, codec.encode(image))
+        return model.modelled(codec.name, values, planes, share)
 
 
 def source_counts(codec: AnyCodec[Any], image: Image) -> tuple[Stages, Stages]:

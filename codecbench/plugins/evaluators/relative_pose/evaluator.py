@@ -24,7 +24,7 @@ from codecbench.plugins.evaluators.relative_pose.two_view import (
     near_epipolar_lines,
     pose_error_deg,
 )
-from codecbench.plugins.evaluators.true_poses import true_poses
+from codecbench.plugins.evaluators.trajectory.alignment import true_poses
 
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 

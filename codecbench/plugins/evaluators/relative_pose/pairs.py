@@ -14,7 +14,7 @@ from codecbench.core.contracts.sequence import Camera, FrameSequence
 from codecbench.plugins.evaluators.relative_pose.matching import Matcher
 from codecbench.plugins.evaluators.relative_pose.two_view import near_epipolar_lines
 from codecbench.plugins.evaluators.sampling import evenly_spread
-from codecbench.plugins.evaluators.true_poses import Poses
+from codecbench.plugins.evaluators.trajectory.alignment import Poses
 from codecbench.slam.geometry.camera import Camera as SlamCamera
 from codecbench.slam.geometry.transforms import se3_inverse
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
+from codecbench.plugins.evaluators.trajectory.alignment import rotation_angles_deg
 
 Floats = NDArray[np.float64]
 

@@ -24,8 +24,14 @@ from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.core.contracts.view import Drawing, View
 from codecbench.core.simulation.delivery import delivery_of
-from codecbench.plugins.evaluators.trajectory import drawn, files, pseudo_ground_truth, verdicts
-from codecbench.plugins.evaluators.trajectory.accuracy import Accuracy
+from codecbench.plugins.evaluators.trajectory import files, path_drawing, pseudo_ground_truth, verdicts
+from codecbench.plugins.evaluators.trajectory.accuracy import (
+    Accuracy,
+    fresh_fraction,
+    live_errors,
+    live_positions,
+    newest_poses,
+)
 from codecbench.plugins.evaluators.trajectory.alignment import (
     Similarity,
     Undefined,
@@ -35,12 +41,6 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
 )
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
 from codecbench.plugins.evaluators.trajectory.feed import Feed, architecture_of
-from codecbench.plugins.evaluators.trajectory.live import (
-    fresh_fraction,
-    live_errors,
-    live_positions,
-    newest_poses,
-)
 from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED, HELD, LIVE
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
@@ -56,7 +56,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         View("curve", "Rate and trajectory error", ("ate_rmse_m",)),
         View("curve", "Rate and distance from raw's path", ("raw_path_error_percent",)),
         View("curve", "Rate and tracked share", ("tracked_fraction",)),
-        View("map", "Trajectories", note=drawn.NOTE),
+        View("map", "Trajectories", note=path_drawing.NOTE),
     )
     needs = frozenset({"camera"})
     typical_ms_per_frame = 30.0
@@ -133,7 +133,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         yield Measurement("ate_minus_raw_m", difference, reason=missing)
 
     def drawing(self, outcome: Outcome) -> Drawing | None:
-        return drawn.drawing(outcome)
+        return path_drawing.draw(outcome)
 
 
 def _check(run: SlamRun, frames: int, backend: str) -> None:

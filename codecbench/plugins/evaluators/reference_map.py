@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
-from codecbench.plugins.evaluators.trajectory.alignment import Similarity, Undefined, align, associate
-from codecbench.plugins.evaluators.true_poses import Poses, true_poses
+from codecbench.plugins.evaluators.trajectory.alignment import (
+    Poses,
+    Similarity,
+    Undefined,
+    align,
+    associate,
+    true_poses,
+)
 from codecbench.plugins.slam_backends.orb import Orb
 from codecbench.slam.features.extractor import Features
 from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log

@@ -8,11 +8,14 @@ doi:10.1109/ACSSC.2003.1292216 (eq. 7).
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.contracts.image import Image
 from codecbench.core.kernels.compiled import compiled
 
 WINDOW_RADIUS = 5
@@ -185,3 +188,15 @@ def _compare(
         variances, covariance = quantities[2, column] - squares, quantities[3, column] - product
         contrasts[column] = (2.0 * covariance + c2) / (variances + c2)
         similarities[column] = (2.0 * product + c1) / (squares + c1) * contrasts[column]
+
+
+def psnr_db(image: Image, other: Image) -> float:
+    """10 log10(255^2 / MSE) of two images of equal shape, the error averaged over pixels and channels alike.
+
+    Infinite for identical images. The squared error is an integer, which OpenCV's code for some processors takes the
+    root of and squares again.
+    """
+    squared_error = round(cv2.norm(image, other, cv2.NORM_L2SQR))
+    if squared_error == 0:
+        return math.inf
+    return 10.0 * math.log10(255.0**2 * image.size / squared_error)

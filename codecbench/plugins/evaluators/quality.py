@@ -11,11 +11,11 @@ from codecbench.core.contracts.image import Image, channel_count, gray_from_imag
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Frame
-from codecbench.plugins.evaluators.quality.psnr import psnr_db
-from codecbench.plugins.evaluators.quality.ssim import (
+from codecbench.plugins.evaluators.fidelity import (
     MULTISCALE_SIDE,
     WINDOW_SIDE,
     multiscale_similarity,
+    psnr_db,
     similarity,
 )
 
@@ -28,7 +28,7 @@ class Quality(SequenceEvaluator[NoParams]):
 
     name = "quality"
     version = "2"
-    kernels = ("codecbench.plugins.evaluators.quality",)
+    kernels = ("codecbench.plugins.evaluators.fidelity",)
     params_type = NoParams
     typical_ms_per_frame = 30.0
     metrics: ClassVar[tuple[Metric, ...]] = (

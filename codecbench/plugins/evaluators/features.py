@@ -11,26 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from codecbench import slam
 from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Context, Measurement, SequenceEvaluator
-from codecbench.core.contracts.image import gray_from_image
+from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.view import KeypointOverlay
-from codecbench.plugins.evaluators.features.detectors import (
-    SCALE_FACTOR,
-    Detector,
-    Keypoints,
-    OpencvDetector,
-    SlamDetector,
-)
-from codecbench.plugins.evaluators.features.partners import matches, nearest_places
+from codecbench.core.kernels.compiled import compiled
+from codecbench.slam.features.extractor import FeatureExtractor
+from codecbench.slam.features.hamming import hamming
 
 MIN_MATCHES: Final = 8
 """Matches that a fundamental matrix needs at the least."""
@@ -177,3 +173,112 @@ def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], 
         pixels, pixels_now, cv2.FM_RANSAC, inlier_px, RANSAC_CONFIDENCE, RANSAC_ITERATIONS
     )
     return 0.0 if inliers is None else float(np.count_nonzero(inliers) / len(pixels))
+
+
+LEVELS: Final = 8
+SCALE_FACTOR: Final = 1.2
+"""Pyramid of ORB as published and as ORB-SLAM uses it."""
+OPENCV_BORDER_PX: Final = 31
+"""OpenCV's ORB describes patches of 31 pixels and keeps its keypoints this far from the edge of the image."""
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """ORB keypoints of an image: `places` (N, 3) x, y in pixels and pyramid level; `descriptors` (N, 4) uint64."""
+
+    places: NDArray[np.float64]
+    descriptors: NDArray[np.uint64]
+
+
+class Detector(Protocol):
+    """Finds the keypoints of a gray image (height, width), uint8; equal images give equal keypoints."""
+
+    def detect(self, gray: Image) -> Keypoints: ...
+
+
+class SlamDetector:
+    """The extractor of the backend `orb`: corners spread evenly over the image, by a quota for each level."""
+
+    def __init__(self, keypoints: int) -> None:
+        self._options = slam.Options(features=keypoints, levels=LEVELS, scale_factor=SCALE_FACTOR)
+        self._extractors: dict[tuple[int, ...], FeatureExtractor] = {}
+
+    def detect(self, gray: Image) -> Keypoints:
+        found = self._extractor(gray.shape).extract(gray)
+        return Keypoints(np.column_stack([found.pixels, found.octaves.astype(np.float64)]), found.descriptors)
+
+    def _extractor(self, shape: tuple[int, ...]) -> FeatureExtractor:
+        """The extractor of images of this shape, whose camera does not matter: it has no distortion to undo."""
+        if shape not in self._extractors:
+            height, width = shape
+            camera = slam.Camera(width, height, float(width), float(width), width / 2, height / 2)
+            self._extractors[shape] = FeatureExtractor(camera, self._options)
+        return self._extractors[shape]
+
+
+class OpencvDetector:
+    """OpenCV's ORB, which keeps the strongest corners wherever they lie."""
+
+    def __init__(self, keypoints: int) -> None:
+        self._orb = cv2.ORB.create(keypoints, SCALE_FACTOR, LEVELS, edgeThreshold=OPENCV_BORDER_PX)
+
+    def detect(self, gray: Image) -> Keypoints:
+        has_room = min(gray.shape) > 2 * OPENCV_BORDER_PX
+        found, descriptors = self._orb.detectAndCompute(gray, None) if has_room else ((), None)
+        if not found:
+            return Keypoints(np.empty((0, 3)), np.empty((0, 4), np.uint64))
+        levels = np.array([keypoint.octave for keypoint in found], dtype=np.float64)
+        places = np.column_stack([cv2.KeyPoint.convert(found), levels])
+        return Keypoints(places, np.ascontiguousarray(descriptors).view(np.uint64))
+
+
+@compiled
+def matches(descriptors: Any, descriptors_now: Any, match_bits: int) -> NDArray[np.int64]:
+    """For each descriptor its nearest in the other frame, or -1 where that is not mutual or beyond `match_bits`.
+
+    The lowest index wins among equals, in both directions.
+    """
+    count, count_now = len(descriptors), len(descriptors_now)
+    nearest, distances = np.full(count, -1, np.int64), np.full(count, 257, np.int64)
+    nearest_back, distances_back = np.full(count_now, -1, np.int64), np.full(count_now, 257, np.int64)
+    for i in range(count):
+        for j in range(count_now):
+            bits = hamming(descriptors, i, descriptors_now, j)
+            if bits < distances[i]:
+                nearest[i], distances[i] = j, bits
+            if bits < distances_back[j]:
+                nearest_back[j], distances_back[j] = i, bits
+    for i in range(count):
+        if distances[i] > match_bits or nearest_back[nearest[i]] != i:
+            nearest[i] = -1
+    return nearest
+
+
+@compiled
+def nearest_places(
+    places: NDArray[np.float64], others: NDArray[np.float64], tolerance_px: float, scale_factor: float
+) -> NDArray[np.int64]:
+    """For each place (x, y, level) its nearest among the others, or -1 where that is not mutual or too far.
+
+    Near enough is within `tolerance_px` at the pyramid level of the place and at most one level away. A level counts
+    as much as a pixel, which tells places at the same pixel apart.
+    """
+    nearest, costs = np.full(len(places), -1, np.int64), np.full(len(places), np.inf)
+    nearest_back, costs_back = np.full(len(others), -1, np.int64), np.full(len(others), np.inf)
+    for i in range(len(places)):
+        limit = tolerance_px * scale_factor ** places[i, 2]
+        for j in range(len(others)):
+            across = abs(places[i, 0] - others[j, 0])
+            down = abs(places[i, 1] - others[j, 1])
+            levels = abs(places[i, 2] - others[j, 2])
+            if across > limit or down > limit or levels > 1.0 or across * across + down * down > limit * limit:
+                continue
+            cost = across * across + down * down + levels
+            if cost < costs[i]:
+                nearest[i], costs[i] = j, cost
+            if cost < costs_back[j]:
+                nearest_back[j], costs_back[j] = i, cost
+    for i in range(len(places)):
+        if nearest[i] >= 0 and nearest_back[nearest[i]] != i:
+            nearest[i] = -1
+    return nearest

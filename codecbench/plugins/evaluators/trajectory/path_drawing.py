@@ -35,7 +35,7 @@ _MARGIN_S: Final = 0.5
 """Ground truth is drawn this much beyond the first and last frame that SLAM was given."""
 
 
-def drawing(outcome: Outcome) -> Drawing | None:
+def draw(outcome: Outcome) -> Drawing | None:
     """Ground truth, the path as tracked and after all corrections, in metres; None where there is neither."""
     folder = outcome.artifacts
     optimised, estimated = (_positions(folder / name) for name in (files.TRAJECTORY, files.TRAJECTORY_BEFORE_LOOPS))

@@ -25,8 +25,8 @@ from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.evaluators.sampling import evenly_spread
-from codecbench.plugins.evaluators.timing.clock import Duration
-from codecbench.plugins.evaluators.timing.in_order import (
+from codecbench.plugins.evaluators.timed_calls import (
+    Duration,
     decoded_in_order,
     encoded_in_order,
     features_encoded_in_order,
