@@ -1,6 +1,6 @@
-"""The `features` evaluator: what a tracker that lives on ORB features would lose.
+"""The `features` evaluator measures what a codec costs a tracker that uses ORB features.
 
-Two finders of features are asked side by side, for a codec may please one and not the other.
+Two feature detectors are used side by side, because a codec may suit one and not the other.
 
 Sources: Rublee, Rabaud, Konolige, Bradski, "ORB", ICCV 2011, doi:10.1109/ICCV.2011.6126544; repeatability after
 Mikolajczyk et al., "A comparison of affine region detectors", IJCV 65, 2005, doi:10.1007/s11263-005-3848-x, with
@@ -29,7 +29,7 @@ from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.features.hamming import hamming
 
 MIN_MATCHES: Final = 8
-"""Matches that a fundamental matrix needs at the least."""
+"""The fewest matches that determine a fundamental matrix."""
 RANSAC_CONFIDENCE: Final = 0.999
 RANSAC_ITERATIONS: Final = 2000
 
@@ -50,40 +50,41 @@ class FeaturesParams(Params):
 
 @dataclass(frozen=True)
 class FrameKeypoints:
-    """Keypoints of a frame before and after coding; `found_at` (N,) is each original's place in the decoded, or -1."""
+    """Keypoints of a frame before and after coding."""
 
     original: Keypoints
     decoded: Keypoints
-    found_at: NDArray[np.int64]
+    partners: NDArray[np.int64]
+    """(N,) index in `decoded` of each original keypoint, or -1 if it is not found again."""
 
 
-def _metrics(prefix: str, finder: str, column_header: str) -> tuple[Metric, ...]:
-    """What is measured with the features of one finder. column_header: of the headline; none where it is empty."""
+def _metrics(prefix: str, detector: str, column_header: str) -> tuple[Metric, ...]:
+    """The metrics of one detector. column_header: of the primary metric; if empty, there is no primary metric."""
     return (
         Metric(
             f"{prefix}keypoint_repeatability", "1", "higher", "share of the original's keypoints found again",
-            role="task", headline=bool(column_header), label=f"features kept, {finder}", column_header=column_header,
+            role="task", headline=bool(column_header), label=f"features kept, {detector}", column_header=column_header,
         ),
         Metric(
             f"{prefix}descriptor_distance_bits", "bits", "lower",
             "mean Hamming distance at keypoints found again",
-            role="task", label=f"descriptor distance, {finder}",
+            role="task", label=f"descriptor distance, {detector}",
         ),
         Metric(
             f"{prefix}matches_kept", "1", "higher",
             "share of the original's matches whose keypoints are found again and match",
-            role="task", label=f"matches kept, {finder}",
+            role="task", label=f"matches kept, {detector}",
         ),
         Metric(
             f"{prefix}inlier_ratio", "1", "higher",
             "share of decoded matches near their epipolar lines; 0 for fewer than 8",
-            role="task", label=f"inlier ratio, {finder}",
+            role="task", label=f"inlier ratio, {detector}",
         ),
     )  # fmt: skip
 
 
 class Features(SequenceEvaluator[FeaturesParams]):
-    """Keypoints found again, matches kept, descriptors changed, matches that obey a geometry.
+    """Keypoint repeatability, descriptor distance, matches kept, and inliers of a fundamental matrix.
 
     docs/metrics.md defines each metric. A lossless codec scores 1, 0 and 1 in the first three.
     """
@@ -100,75 +101,75 @@ class Features(SequenceEvaluator[FeaturesParams]):
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         count = self.params.keypoints
-        finders: dict[str, Detector] = {"": SlamDetector(count), "opencv_": OpencvDetector(count)}
+        detectors: dict[str, Detector] = {"": SlamDetector(count), "opencv_": OpencvDetector(count)}
         previous: dict[str, FrameKeypoints] = {}
         for position, frame in enumerate(coded):
-            for prefix, finder in finders.items():
-                current = self._keypoints(frame, prefix, finder)
-                found = _survival(current)
+            for prefix, detector in detectors.items():
+                current = self._keypoints(frame, prefix, detector)
+                values = _survival(current)
                 if prefix in previous:
-                    found |= self._continuity(previous[prefix], current)
+                    values |= self._continuity(previous[prefix], current)
                 previous[prefix] = current
-                for metric, value in found.items():
+                for metric, value in values.items():
                     reason = value if isinstance(value, str) else None
                     number = float("nan") if isinstance(value, str) else value
                     yield Measurement(prefix + metric, number, frame=position, reason=reason)
 
     def marks(self, coded: CodedFrame) -> KeypointOverlay:
-        """The keypoints of the original by the SLAM's finder, and which of them are found again."""
+        """Keypoints that the SLAM's detector finds in the original, and which of them are found again."""
         current = self._keypoints(coded, "", SlamDetector(self.params.keypoints))
-        kept = current.found_at >= 0
-        share = 100.0 * np.count_nonzero(kept) / max(1, len(kept))
-        note = f"{np.count_nonzero(kept)} of {len(kept)} keypoints kept ({share:.0f} %), as in “features kept”"
-        return KeypointOverlay(current.original.places[:, :2], kept, note)
+        repeated = current.partners >= 0
+        share = 100.0 * np.count_nonzero(repeated) / max(1, len(repeated))
+        note = f"{np.count_nonzero(repeated)} of {len(repeated)} keypoints kept ({share:.0f} %), as in “features kept”"
+        return KeypointOverlay(current.original.places[:, :2], repeated, note)
 
-    def _keypoints(self, frame: CodedFrame, prefix: str, finder: Detector) -> FrameKeypoints:
+    def _keypoints(self, frame: CodedFrame, prefix: str, detector: Detector) -> FrameKeypoints:
         key = ("orb_keypoints", prefix, self.params.keypoints)
-        original = frame.original.cached(key, lambda image: finder.detect(gray_from_image(image)))
-        decoded = finder.detect(gray_from_image(frame.decoded))
-        found_at = nearest_places(original.places, decoded.places, self.params.tolerance_px, SCALE_FACTOR)
-        return FrameKeypoints(original, decoded, found_at)
+        original = frame.original.cached(key, lambda image: detector.detect(gray_from_image(image)))
+        decoded = detector.detect(gray_from_image(frame.decoded))
+        partners = nearest_places(original.places, decoded.places, self.params.tolerance_px, SCALE_FACTOR)
+        return FrameKeypoints(original, decoded, partners)
 
     def _continuity(self, previous: FrameKeypoints, current: FrameKeypoints) -> dict[str, float | str]:
-        """What of the matches between two frames survives coding, and how well the decoded ones fit a geometry."""
-        found: dict[str, float | str] = {}
+        """Share of the matches between two frames that survives coding, and the inlier ratio of the decoded matches."""
+        values: dict[str, float | str] = {}
         bits = self.params.match_bits
         before = matches(previous.original.descriptors, current.original.descriptors, bits)
         after = matches(previous.decoded.descriptors, current.decoded.descriptors, bits)
         first = np.flatnonzero(before >= 0)
         if len(first) == 0:
-            found["matches_kept"] = "the original frame matches nothing in the previous one"
+            values["matches_kept"] = "the original frame matches nothing in the previous one"
         else:
-            starts, ends = previous.found_at[first], current.found_at[before[first]]
+            starts, ends = previous.partners[first], current.partners[before[first]]
             both = (starts >= 0) & (ends >= 0)
-            kept = np.count_nonzero(after[starts[both]] == ends[both])
-            found["matches_kept"] = float(kept / len(first))
+            surviving = np.count_nonzero(after[starts[both]] == ends[both])
+            values["matches_kept"] = float(surviving / len(first))
         matched = np.flatnonzero(after >= 0)
         pixels = previous.decoded.places[matched, :2]
         pixels_now = current.decoded.places[after[matched], :2]
-        return {**found, "inlier_ratio": _inlier_ratio(pixels, pixels_now, self.params.inlier_px)}
+        return {**values, "inlier_ratio": _inlier_ratio(pixels, pixels_now, self.params.inlier_px)}
 
 
 def _survival(current: FrameKeypoints) -> dict[str, float | str]:
-    """How many keypoints of a frame are found again, and how much their descriptors changed; or why that is missing."""
-    found = np.flatnonzero(current.found_at >= 0)
-    if len(current.found_at) == 0:
+    """Keypoint repeatability and descriptor distance of a frame, or the reason why one of them is missing."""
+    repeated = np.flatnonzero(current.partners >= 0)
+    if len(current.partners) == 0:
         reason = "the original frame has no ORB keypoint"
         return {"keypoint_repeatability": reason, "descriptor_distance_bits": reason}
-    kept = {"keypoint_repeatability": len(found) / len(current.found_at)}
-    if len(found) == 0:
-        return {**kept, "descriptor_distance_bits": "no keypoint of the original frame was found again"}
-    originals = current.original.descriptors[found]
-    changed = originals ^ current.decoded.descriptors[current.found_at[found]]
+    repeatability = {"keypoint_repeatability": len(repeated) / len(current.partners)}
+    if len(repeated) == 0:
+        return {**repeatability, "descriptor_distance_bits": "no keypoint of the original frame was found again"}
+    originals = current.original.descriptors[repeated]
+    changed = originals ^ current.decoded.descriptors[current.partners[repeated]]
     bits = int(np.unpackbits(changed.view(np.uint8)).sum())
-    return {**kept, "descriptor_distance_bits": bits / len(found)}
+    return {**repeatability, "descriptor_distance_bits": bits / len(repeated)}
 
 
 def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], inlier_px: float) -> float:
-    """Share of matches near their epipolar lines in both frames; 0 where there are too few for a geometry."""
+    """Share of matches near their epipolar lines in both frames; 0 if there are too few for a fundamental matrix."""
     if len(pixels) < MIN_MATCHES:
         return 0.0
-    # The plain method draws from a fixed seed of its own; OpenCV's newer ones stop with an error for a camera at rest.
+    # The plain method has a fixed seed of its own; OpenCV's newer ones stop with an error for a camera at rest.
     _, inliers = cv2.findFundamentalMat(
         pixels, pixels_now, cv2.FM_RANSAC, inlier_px, RANSAC_CONFIDENCE, RANSAC_ITERATIONS
     )
@@ -184,31 +185,34 @@ OPENCV_BORDER_PX: Final = 31
 
 @dataclass(frozen=True)
 class Keypoints:
-    """ORB keypoints of an image: `places` (N, 3) x, y in pixels and pyramid level; `descriptors` (N, 4) uint64."""
+    """ORB keypoints of an image."""
 
     places: NDArray[np.float64]
+    """(N, 3) x and y in pixels, and pyramid level."""
     descriptors: NDArray[np.uint64]
+    """(N, 4)."""
 
 
 class Detector(Protocol):
-    """Finds the keypoints of a gray image (height, width), uint8; equal images give equal keypoints."""
+    """Detects keypoints; equal images give equal keypoints."""
 
-    def detect(self, gray: Image) -> Keypoints: ...
+    def detect(self, gray: Image) -> Keypoints:
+        """The keypoints of a gray image (height, width), uint8."""
 
 
 class SlamDetector:
-    """The extractor of the backend `orb`: corners spread evenly over the image, by a quota for each level."""
+    """The feature extractor of the SLAM backend `orb`, which spreads corners evenly over the image."""
 
     def __init__(self, keypoints: int) -> None:
         self._options = slam.Options(features=keypoints, levels=LEVELS, scale_factor=SCALE_FACTOR)
         self._extractors: dict[tuple[int, ...], FeatureExtractor] = {}
 
     def detect(self, gray: Image) -> Keypoints:
-        found = self._extractor(gray.shape).extract(gray)
-        return Keypoints(np.column_stack([found.pixels, found.octaves.astype(np.float64)]), found.descriptors)
+        features = self._extractor(gray.shape).extract(gray)
+        return Keypoints(np.column_stack([features.pixels, features.octaves.astype(np.float64)]), features.descriptors)
 
     def _extractor(self, shape: tuple[int, ...]) -> FeatureExtractor:
-        """The extractor of images of this shape, whose camera does not matter: it has no distortion to undo."""
+        """The extractor for images of this shape; its camera only has to be free of distortion."""
         if shape not in self._extractors:
             height, width = shape
             camera = slam.Camera(width, height, float(width), float(width), width / 2, height / 2)
@@ -217,24 +221,24 @@ class SlamDetector:
 
 
 class OpencvDetector:
-    """OpenCV's ORB, which keeps the strongest corners wherever they lie."""
+    """OpenCV's ORB, which keeps the strongest corners wherever they are."""
 
     def __init__(self, keypoints: int) -> None:
         self._orb = cv2.ORB.create(keypoints, SCALE_FACTOR, LEVELS, edgeThreshold=OPENCV_BORDER_PX)
 
     def detect(self, gray: Image) -> Keypoints:
         has_room = min(gray.shape) > 2 * OPENCV_BORDER_PX
-        found, descriptors = self._orb.detectAndCompute(gray, None) if has_room else ((), None)
-        if not found:
+        keypoints, descriptors = self._orb.detectAndCompute(gray, None) if has_room else ((), None)
+        if not keypoints:
             return Keypoints(np.empty((0, 3)), np.empty((0, 4), np.uint64))
-        levels = np.array([keypoint.octave for keypoint in found], dtype=np.float64)
-        places = np.column_stack([cv2.KeyPoint.convert(found), levels])
+        levels = np.array([keypoint.octave for keypoint in keypoints], dtype=np.float64)
+        places = np.column_stack([cv2.KeyPoint.convert(keypoints), levels])
         return Keypoints(places, np.ascontiguousarray(descriptors).view(np.uint64))
 
 
 @compiled
 def matches(descriptors: Any, descriptors_now: Any, match_bits: int) -> NDArray[np.int64]:
-    """For each descriptor its nearest in the other frame, or -1 where that is not mutual or beyond `match_bits`.
+    """For each descriptor its nearest in the other frame, or -1 if that is not mutual or is beyond `match_bits`.
 
     The lowest index wins among equals, in both directions.
     """
@@ -258,10 +262,10 @@ def matches(descriptors: Any, descriptors_now: Any, match_bits: int) -> NDArray[
 def nearest_places(
     places: NDArray[np.float64], others: NDArray[np.float64], tolerance_px: float, scale_factor: float
 ) -> NDArray[np.int64]:
-    """For each place (x, y, level) its nearest among the others, or -1 where that is not mutual or too far.
+    """For each place (x, y, level) its nearest among the others, or -1 if that is not mutual or is too far.
 
     Near enough is within `tolerance_px` at the pyramid level of the place and at most one level away. A level counts
-    as much as a pixel, which tells places at the same pixel apart.
+    as much as a pixel, which distinguishes places at the same pixel.
     """
     nearest, costs = np.full(len(places), -1, np.int64), np.full(len(places), np.inf)
     nearest_back, costs_back = np.full(len(others), -1, np.int64), np.full(len(others), np.inf)

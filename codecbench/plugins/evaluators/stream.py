@@ -1,4 +1,4 @@
-"""The `stream` evaluator: what a link carries and a viewer waits for."""
+"""The `stream` evaluator measures bit rate, coding delay, and random access in the middle of a stream."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class StreamParams(Params):
 
 
 class Stream(SequenceEvaluator[StreamParams]):
-    """Rate as users know it, delay, and joining in the middle; codecs without memory have all of it too."""
+    """Bit rate, delay and random access, also of codecs without memory."""
 
     name = "stream"
     version = "1"
@@ -89,36 +89,37 @@ class Stream(SequenceEvaluator[StreamParams]):
         yield Measurement("largest_frame_bytes", float(sizes.max()))
         yield _peak(sizes, rate_hz)
         yield _intra_to_predicted(packets)
-        yield from _waits("delay", max(packet.after - packet.frame - 1 for packet in packets), rate_hz)
-        yield from _waits("first_packet", packets[0].after - 1, rate_hz)
+        yield from _wait_measurements("delay", max(packet.after - packet.frame - 1 for packet in packets), rate_hz)
+        yield from _wait_measurements("first_packet", packets[0].after - 1, rate_hz)
         if self.params.joins:
             yield from self._joining(coded)
 
     def _joining(self, coded: CodedSequence) -> Iterator[Measurement]:
-        places = joined_places(len(coded.packets), self.params.joins)
+        places = join_places(len(coded.packets), self.params.joins)
         if not places:
             yield from (_missing(name, "a sequence of one frame has no middle") for name in _JOINING)
             return
-        waited = frames_until_whole(coded, places, self.params.whole_db)
-        never = f"{sum(map(math.isinf, waited))} of {len(places)} joins were not whole when the sequence ended"
-        for name, frames in zip(_JOINING, (float(np.median(waited)), max(waited)), strict=True):
+        waits = frames_until_whole(coded, places, self.params.whole_db)
+        never = f"{sum(map(math.isinf, waits))} of {len(places)} joins were not whole when the sequence ended"
+        for name, frames in zip(_JOINING, (float(np.median(waits)), max(waits)), strict=True):
             yield _missing(name, never) if math.isinf(frames) else Measurement(name, frames)
 
 
 _JOINING = ("joining_frames", "joining_worst_frames")
+"""The metrics of random access: the median and the worst of all joins."""
 
 
 def _missing(metric: str, reason: str) -> Measurement:
     return Measurement(metric, math.nan, reason=reason)
 
 
-def _waits(name: str, frames: int, rate_hz: float) -> Iterator[Measurement]:
+def _wait_measurements(name: str, frames: int, rate_hz: float) -> Iterator[Measurement]:
     yield Measurement(f"{name}_frames", float(frames))
     yield Measurement(f"{name}_ms", 1e3 * frames / rate_hz)
 
 
 def _peak(sizes: NDArray[np.float64], rate_hz: float) -> Measurement:
-    """Of as many packets as fit into 1 s, each taking its turn at the sequence's rate."""
+    """The highest rate over 1 s, with packets sent one after the other at the sequence's frame rate."""
     window = math.ceil(rate_hz - 1e-9)
     if len(sizes) < window:
         return _missing("peak_kbps", f"the sequence lasts {len(sizes) / rate_hz:.2g} s")
@@ -134,10 +135,10 @@ def _intra_to_predicted(packets: tuple[SentPacket, ...]) -> Measurement:
     return Measurement("intra_to_predicted", float(np.mean(intra) / np.mean(predicted)))
 
 
-def joined_places(packets: int, joins: int) -> list[int]:
-    """Up to `joins` places in the first half of the packets, the first excepted: one in each of equal parts.
+def join_places(packets: int, joins: int) -> list[int]:
+    """Up to `joins` random positions in the first half of the packets, one in each of equal parts, never the first.
 
-    Drawn, so that they keep no step with starts at equal distances, and the same for all settings of a sequence. After
+    They are random so that they do not align with periodic keyframes, and equal for all settings of a sequence. After
     each of them at least half of the sequence is left for pictures to become whole.
     """
     last = packets // 2
@@ -147,32 +148,32 @@ def joined_places(packets: int, joins: int) -> list[int]:
 
 
 def frames_until_whole(coded: CodedSequence, places: list[int], whole_db: float) -> list[float]:
-    """For each place in the order of sending, the frames from that packet's to the first from which on all are whole.
+    """For each place in sending order, the frames from that packet's frame to the first from which on all are whole.
 
-    A picture is whole where its PSNR against the uninterrupted decoding is `whole_db` or more; infinity where the last
-    of the sequence is not. Codecs without memory and those of features are whole from the next packet that starts.
+    A picture is whole if its PSNR against the uninterrupted decoding is `whole_db` or more. The value is infinite if
+    the last picture is not whole. Codecs without memory, and feature codecs, are whole from the next keyframe on.
     """
     if coded.codec.stateless or coded.codec.carries == "features":
-        return [_until_start(coded.packets[place:]) for place in places]
+        return [_frames_until_keyframe(coded.packets[place:]) for place in places]
     joiners = {place: _Joiner(coded.codec, coded.packets[place].frame) for place in places}
     for at, sent in enumerate(coded.packets):
         watching = [joiner for place, joiner in joiners.items() if place <= at]
         if watching:
             packet = sent.packet(coded.frame(sent.frame).bitstream)
             for joiner in watching:
-                joiner.take(joiner.pictures(packet), coded, whole_db)
+                joiner.record(joiner.pictures(packet), coded, whole_db)
     for joiner in joiners.values():
-        joiner.take(joiner.pictures(None), coded, whole_db)
+        joiner.record(joiner.pictures(None), coded, whole_db)
     return [joiners[place].frames_until_whole(len(coded)) for place in places]
 
 
-def _until_start(packets: Sequence[SentPacket]) -> float:
-    """The frames from the first packet to one that starts."""
+def _frames_until_keyframe(packets: Sequence[SentPacket]) -> float:
+    """The number of frames from the first packet to the next keyframe."""
     return next((float(packet.frame - packets[0].frame) for packet in packets if packet.starts), math.inf)
 
 
 class _Joiner:
-    """Who decodes a stream from one packet on, that of frame `joined`, with nothing from before."""
+    """A receiver that decodes a stream from the packet of frame `joined` on, and nothing before it."""
 
     def __init__(self, codec: AnyCodec[Any], joined: int) -> None:
         self._decoder = decoder_of(codec)
@@ -180,27 +181,28 @@ class _Joiner:
         self._whole: set[int] = set()
 
     def pictures(self, packet: Packet | None) -> list[Picture]:
-        """What the packet, or the end of the stream, gives; a decoder may refuse what it cannot begin with."""
+        """Pictures decoded from a packet, or at the end of the stream; none if the decoder cannot begin with it."""
         try:
             return self._decoder.flush() if packet is None else self._decoder.push(packet)
         except BitstreamError:
             return []
 
-    def take(self, pictures: list[Picture], coded: CodedSequence, whole_db: float) -> None:
+    def record(self, pictures: list[Picture], coded: CodedSequence, whole_db: float) -> None:
+        """Note which of the pictures are whole."""
         for picture in pictures:
-            seen = picture.frame >= self._joined and picture.image is not None
-            if seen and _alike(picture.image, coded.frame(picture.frame).decoded, whole_db):
+            counts = picture.frame >= self._joined and picture.image is not None
+            if counts and _is_whole(picture.image, coded.frame(picture.frame).decoded, whole_db):
                 self._whole.add(picture.frame)
 
     def frames_until_whole(self, frames: int) -> float:
-        """From the frame that was joined at; infinity where the last frame is not whole."""
+        """The number of frames from the joined one to the first whole one; infinite if the last frame is not whole."""
         first = frames
         while first > self._joined and first - 1 in self._whole:
             first -= 1
         return math.inf if first == frames else float(first - self._joined)
 
 
-def _alike(image: Image | None, uninterrupted: Image, whole_db: float) -> bool:
+def _is_whole(image: Image | None, uninterrupted: Image, whole_db: float) -> bool:
     if image is None or image.shape != uninterrupted.shape:
         return False
     return np.array_equal(image, uninterrupted) or psnr_db(uninterrupted, image) >= whole_db

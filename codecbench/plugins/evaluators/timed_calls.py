@@ -1,7 +1,7 @@
-"""What is timed of a codec, in the process in which it encodes or decodes: frames are handed over before.
+"""Timing of calls, and of a codec's calls in the process in which it encodes or decodes, which has the frames already.
 
-Times are (wall, processor) in milliseconds. A codec with memory, or of features, has calls with a past, so that each is
-made once, in order, and not again.
+Times are (wall, processor) in milliseconds. The calls of a codec with memory, or of a feature codec, depend on earlier
+ones, so each is made once and in order.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _YARDSTICK: Final = bytes((index * index >> 5) & 255 for index in range(1 << 16)
 
 @dataclass(frozen=True)
 class Duration:
-    """What one call takes, in milliseconds: by the clock on the wall and of this process's processor time."""
+    """Wall time and processor time of one call in this process, in milliseconds."""
 
     wall_ms: float
     cpu_ms: float
@@ -38,22 +38,23 @@ class Duration:
 
 
 def yardstick() -> Duration:
-    """Time of deflating a fixed 64 KiB: work that no codec changes, so that runs at different times, on a machine
-    that is busier or clocked lower, can be compared in units of it."""
-    return timed(lambda: zlib.compress(_YARDSTICK, 6))[1]
+    """Time to deflate a fixed 64 KiB.
+
+    No codec changes this work, so runs on a machine that is busier or clocked lower can be compared in units of it.
+    """
+    return time_call(lambda: zlib.compress(_YARDSTICK, 6))[1]
 
 
-def repeated(call: Callable[[], _T], min_ms: float) -> tuple[_T, Duration]:
-    """What a call returns, and its time: of this single call if it takes `min_ms`, else the mean over as many more as
-    take that long."""
-    value, first = timed(call)
+def time_repeatedly(call: Callable[[], _T], min_ms: float) -> tuple[_T, Duration]:
+    """The result and the time of a call; the time is a mean over enough calls to take `min_ms`, if one is faster."""
+    value, first = time_call(call)
     if first.wall_ms >= min_ms:
         return value, first
-    return timed(call, min(_MAX_LOOPS, math.ceil(min_ms / max(first.wall_ms, 1e-6))))
+    return time_call(call, min(_MAX_LOOPS, math.ceil(min_ms / max(first.wall_ms, 1e-6))))
 
 
-def timed(call: Callable[[], _T], loops: int = 1) -> tuple[_T, Duration]:
-    """What the last of `loops` calls returns, and the mean time of one."""
+def time_call(call: Callable[[], _T], loops: int = 1) -> tuple[_T, Duration]:
+    """The result of the last of `loops` calls, and the mean time of one."""
     turns = range(loops - 1)
     cpu_start_ns, wall_start_ns = time.process_time_ns(), time.perf_counter_ns()
     for _ in turns:
@@ -64,8 +65,8 @@ def timed(call: Callable[[], _T], loops: int = 1) -> tuple[_T, Duration]:
 
 
 @contextmanager
-def no_collection() -> Iterator[None]:
-    """Collect garbage now and not meanwhile."""
+def without_collection() -> Iterator[None]:
+    """Collect garbage now, and not inside the block."""
     enabled = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -76,87 +77,87 @@ def no_collection() -> Iterator[None]:
             gc.enable()
 
 
-_Made = TypeVar("_Made", Packet, Decoded)
+_Part = TypeVar("_Part", Packet, Decoded)
 Time: TypeAlias = tuple[float, float]
 _WARM_UP_S: Final = 0.1
-"""A codec that takes longer has settled after one coding: what it loads and compiles is a small part of it."""
+"""A codec that takes longer needs one warm-up only: loading and compiling are a small part of that."""
 
 
-def times_of_encoding(
+def time_encoding(
     codec: AnyCodec[Any], images: dict[int, Image], warmup: int, least_ms: float
 ) -> list[tuple[int, bytes, Time | None, Time, Time]]:
-    """Of each frame its index, its bitstream, and what preparing, encoding and the yardstick take.
+    """For each frame its index, its bitstream, and the times of preparing, encoding and the yardstick.
 
-    Preparing is None where there is nothing to prepare. warmup: codings of the first frame before, fewer where they
-    take long. least_ms: calls that are faster are repeated until this much has passed, and share it.
+    Preparing is None if there is nothing to prepare. warmup: how often the first frame is coded before, less often if
+    that takes long. least_ms: faster calls are repeated for this long, and their time is the mean.
     """
     first = next(iter(images.values()))
     _warm(warmup, lambda: codec.encode(first))
-    found = []
-    with no_collection():
+    timings = []
+    with without_collection():
         for index, image in images.items():
-            prepared, preparing = repeated(partial(codec.prepared, image), least_ms)
-            bitstream, encoding = repeated(partial(prepared.encode, image), least_ms)
-            searched = None if prepared is codec else _plain(preparing)
-            found.append((index, bitstream, searched, _plain(encoding), _plain(yardstick())))
-    return found
+            prepared, preparing = time_repeatedly(partial(codec.prepared, image), least_ms)
+            bitstream, encoding = time_repeatedly(partial(prepared.encode, image), least_ms)
+            search = None if prepared is codec else _as_pair(preparing)
+            timings.append((index, bitstream, search, _as_pair(encoding), _as_pair(yardstick())))
+    return timings
 
 
-def times_of_decoding(codec: AnyCodec[Any], bitstreams: list[bytes], warmup: int, least_ms: float) -> list[Time]:
-    """What decoding each of these takes."""
+def time_decoding(codec: AnyCodec[Any], bitstreams: list[bytes], warmup: int, least_ms: float) -> list[Time]:
+    """The time to decode each bitstream."""
     _warm(warmup, lambda: codec.decode(bitstreams[0]))
-    with no_collection():
-        return [_plain(repeated(partial(codec.decode, bitstream), least_ms)[1]) for bitstream in bitstreams]
+    with without_collection():
+        return [_as_pair(time_repeatedly(partial(codec.decode, bitstream), least_ms)[1]) for bitstream in bitstreams]
 
 
-def encoded_in_order(
+def time_encoding_in_order(
     codec: AnyCodec[Any], frame_rate_hz: float, images: list[Image], warmup: int
 ) -> tuple[list[Packet], list[Time], list[Time]]:
-    """The packets of the first frames of a sequence, and what encoding and the yardstick take of each frame."""
+    """The packets of these images, and for each image the times of encoding and of the yardstick."""
 
-    def session(frames: list[Image], beside: Callable[[], object]) -> tuple[list[Packet], dict[int, Duration]]:
+    def session(frames: list[Image], after_each: Callable[[], object]) -> tuple[list[Packet], dict[int, Duration]]:
         encoder = codec.open_encoder(frame_rate_hz)
-        pushed = ((frame, partial(encoder.push, image)) for frame, image in enumerate(frames))
-        return _timed_session(pushed, encoder.flush, beside)
+        calls = ((frame, partial(encoder.push, image)) for frame, image in enumerate(frames))
+        return _time_session(calls, encoder.flush, after_each)
 
     session(images[:warmup], lambda: None)
     yardsticks: list[Time] = []
-    with no_collection():
-        packets, taken = session(images, lambda: yardsticks.append(_plain(yardstick())))
-    return packets, [_plain(taken[frame]) for frame in range(len(images))], yardsticks
+    with without_collection():
+        packets, durations = session(images, lambda: yardsticks.append(_as_pair(yardstick())))
+    return packets, [_as_pair(durations[frame]) for frame in range(len(images))], yardsticks
 
 
-def decoded_in_order(codec: AnyCodec[Any], packets: list[Packet], warmup: int) -> list[Time]:
-    """What decoding takes of each frame, in order of frames. warmup: how many packets are decoded before, not timed."""
+def time_decoding_in_order(codec: AnyCodec[Any], packets: list[Packet], warmup: int) -> list[Time]:
+    """The decoding time of each frame, by frame index. warmup: how many packets are decoded before, not timed."""
 
     def session(sent: list[Packet], flush: Callable[[Any], Callable[[], Any]]) -> dict[int, Duration]:
         decoder = codec.open_decoder()
-        fed = ((packet.frame, partial(decoder.push, packet)) for packet in sent)
-        return _timed_session(fed, flush(decoder), lambda: None)[1]
+        calls = ((packet.frame, partial(decoder.push, packet)) for packet in sent)
+        return _time_session(calls, flush(decoder), lambda: None)[1]
 
     session(packets[:warmup], lambda _: list)
-    with no_collection():
-        taken = session(packets, _flush)
-    return [_plain(taken[frame]) for frame in range(len(packets))]
+    with without_collection():
+        durations = session(packets, _flush)
+    return [_as_pair(durations[frame]) for frame in range(len(packets))]
 
 
-def features_encoded_in_order(
+def time_feature_encoding_in_order(
     codec: AnyCodec[Any], images: list[Image], warmup: int
 ) -> tuple[list[Packet], list[Time], list[Time], list[Time]]:
-    """The packets of these frames, and what finding their features, encoding these and the yardstick take of each."""
+    """The packets of these images, and for each the times of extraction, encoding and the yardstick."""
     source: FeatureCodec[Any] = codec  # type: ignore[assignment]
 
     def session(frames: list[Image]) -> Iterator[tuple[Packet, Time, Time, Time]]:
         encoder = source.encoder()
         for image in frames:
-            features, finding = timed(partial(source.extract, image))
-            packet, coding = timed(partial(encoder.push, features))
-            yield packet, _plain(finding), _plain(coding), _plain(yardstick())
+            features, extraction = time_call(partial(source.extract, image))
+            packet, coding = time_call(partial(encoder.push, features))
+            yield packet, _as_pair(extraction), _as_pair(coding), _as_pair(yardstick())
 
     list(session(images[:warmup]))
-    with no_collection():
-        packets, finding, coding, beside = map(list, zip(*session(images), strict=True))
-    return packets, finding, coding, beside
+    with without_collection():
+        packets, extraction, coding, yardsticks = map(list, zip(*session(images), strict=True))
+    return packets, extraction, coding, yardsticks
 
 
 def _warm(codings: int, call: Callable[[], object]) -> None:
@@ -171,24 +172,27 @@ def _flush(decoder: Any) -> Callable[[], Any]:
     return getattr(decoder, "flush", list)  # type: ignore[no-any-return]
 
 
-def _plain(taken: Duration) -> Time:
-    return taken.wall_ms, taken.cpu_ms
+def _as_pair(duration: Duration) -> Time:
+    return duration.wall_ms, duration.cpu_ms
 
 
-def _timed_session(
-    calls: Iterable[tuple[int, Callable[[], Sequence[_Made]]]],
-    flush: Callable[[], Sequence[_Made]],
-    beside: Callable[[], object],
-) -> tuple[list[_Made], dict[int, Duration]]:
-    """What a session made, and the time of each call by its frame; that of flush is shared by the frames it gives."""
-    made: list[_Made] = []
-    taken: dict[int, Duration] = {}
+def _time_session(
+    calls: Iterable[tuple[int, Callable[[], Sequence[_Part]]]],
+    flush: Callable[[], Sequence[_Part]],
+    after_each: Callable[[], object],
+) -> tuple[list[_Part], dict[int, Duration]]:
+    """The packets or pictures of a session, and the time of each call by frame.
+
+    The time of `flush` is shared equally by the frames that it returns.
+    """
+    output: list[_Part] = []
+    times: dict[int, Duration] = {}
     for frame, call in calls:
-        parts, taken[frame] = timed(call)
-        made.extend(parts)
-        beside()
-    held, last = timed(flush)
-    for part in held:
-        before = taken[part.frame]
-        taken[part.frame] = Duration(before.wall_ms + last.wall_ms / len(held), before.cpu_ms + last.cpu_ms / len(held))
-    return made + list(held), taken
+        parts, times[frame] = time_call(call)
+        output.extend(parts)
+        after_each()
+    rest, last = time_call(flush)
+    for part in rest:
+        before = times[part.frame]
+        times[part.frame] = Duration(before.wall_ms + last.wall_ms / len(rest), before.cpu_ms + last.cpu_ms / len(rest))
+    return output + list(rest), times

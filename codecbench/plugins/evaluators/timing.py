@@ -1,11 +1,11 @@
-"""The `timing` evaluator: how long one frame takes to encode and to decode, on one core.
+"""The `timing` evaluator measures how long one frame takes to encode and to decode, on one core.
 
-What a codec searches for on each frame before it can encode it (`Codec.prepared`) is timed apart from the encoding.
-Reading frames, checks and garbage collection are outside what is timed; a codec of another distribution is timed in the
-processes in which it encodes and decodes. The first frame is coded before the first measurement, so that compilation,
-caches and clocks have settled; a codec with memory or of features is timed in order over the first frames instead, each
-call once. One repeat is one cell; the engine interleaves the repeats of all settings, so that a slow spell of the
-machine hits none of them alone.
+The search that a codec makes on a frame before it can encode it (`Codec.prepared`) is timed apart from the encoding.
+Reading frames, checks and garbage collection are not timed. A codec of another distribution is timed in the processes
+in which it encodes and decodes. The first frame is coded before the first measurement, so that compilation, caches and
+clocks have settled. A codec with memory, or a feature codec, is timed in order over the first frames, each call once.
+One repeat is one cell. The engine interleaves the repeats of all settings, so that a slow phase of the machine does not
+hit a single one.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.plugins.evaluators.sampling import evenly_spread
 from codecbench.plugins.evaluators.timed_calls import (
     Duration,
-    decoded_in_order,
-    encoded_in_order,
-    features_encoded_in_order,
-    times_of_decoding,
-    times_of_encoding,
+    time_decoding,
+    time_decoding_in_order,
+    time_encoding,
+    time_encoding_in_order,
+    time_feature_encoding_in_order,
 )
 
 _AGGREGATES = ("median", "p95")
 _YARDSTICK_MS = "yardstick_ms"
-_NEEDS: Final[dict[str, Quantity]] = {"encode_wall_ms": "encoding", "decode_wall_ms": "decoding"}
+_QUANTITIES: Final[dict[str, Quantity]] = {"encode_wall_ms": "encoding", "decode_wall_ms": "decoding"}
 
 
 class TimingParams(Params):
@@ -54,7 +54,7 @@ class TimingParams(Params):
 
 @dataclass(frozen=True)
 class _Durations:
-    """What was timed of one frame; nothing was prepared where the codec has nothing to find."""
+    """The durations of one frame; `preparing` is None if the codec has nothing to search for."""
 
     encoding: Duration
     decoding: Duration
@@ -62,17 +62,17 @@ class _Durations:
     yardstick: Duration
 
 
-def _time(name: str, summary: str, label: str, column_header: str = "", confirmed_by: str = "") -> Metric:
-    """A time of one frame; a headline where it has a column_header name."""
+def _time_metric(name: str, summary: str, label: str, column_header: str = "", confirmed_by: str = "") -> Metric:
+    """A time of one frame; a primary metric if it has a column header."""
     return Metric(
         name, "ms", "lower", summary, (*_AGGREGATES, "max"), False,
         role="time", headline=bool(column_header), label=label, column_header=column_header, scale="log",
-        confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS, quantity=_NEEDS.get(name, ""),
+        confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS, quantity=_QUANTITIES.get(name, ""),
     )  # fmt: skip
 
 
-def _pace(name: str, summary: str, label: str, confirmed_by: str) -> Metric:
-    """Megapixels a second."""
+def _pace_metric(name: str, summary: str, label: str, confirmed_by: str) -> Metric:
+    """Megapixels per second."""
     return Metric(
         name, "Mpx/s", "higher", summary, _AGGREGATES, False,
         role="time", label=label, scale="log", confirmed_by=confirmed_by, in_units_of=_YARDSTICK_MS,
@@ -87,23 +87,23 @@ class Timing(CodecEvaluator[TimingParams]):
     params_type = TimingParams
     exclusive = True
     metrics: ClassVar[tuple[Metric, ...]] = (
-        _time(
+        _time_metric(
             "encode_cpu_ms", "processor time, image to bitstream, all threads",
             "encoding processor time", "enc CPU ms",
         ),
-        _time(
+        _time_metric(
             "decode_cpu_ms", "processor time, bitstream to image, all threads",
             "decoding processor time", "dec CPU ms",
         ),
-        _time("encode_wall_ms", "elapsed time, image to bitstream", "encoding time", "", "encode_cpu_ms"),
-        _time("decode_wall_ms", "elapsed time, bitstream to image", "decoding time", "", "decode_cpu_ms"),
-        _pace("encode_mpix_per_s", "pixels over elapsed encoding time", "encoding pace", "encode_cpu_ms"),
-        _pace("decode_mpix_per_s", "pixels over elapsed decoding time", "decoding pace", "decode_cpu_ms"),
-        _time(
+        _time_metric("encode_wall_ms", "elapsed time, image to bitstream", "encoding time", "", "encode_cpu_ms"),
+        _time_metric("decode_wall_ms", "elapsed time, bitstream to image", "decoding time", "", "decode_cpu_ms"),
+        _pace_metric("encode_mpix_per_s", "pixels over elapsed encoding time", "encoding pace", "encode_cpu_ms"),
+        _pace_metric("decode_mpix_per_s", "pixels over elapsed decoding time", "decoding pace", "decode_cpu_ms"),
+        _time_metric(
             "prepare_wall_ms", "elapsed time of the search before encoding",
             "preparation time", "", "prepare_cpu_ms",
         ),
-        _time("prepare_cpu_ms", "processor time of the search before encoding", "preparation processor time"),
+        _time_metric("prepare_cpu_ms", "processor time of the search before encoding", "preparation processor time"),
         Metric(
             _YARDSTICK_MS, "ms", "neither", "fixed work timed beside each frame, to compare machines",
             ("median",), False, label="yardstick",
@@ -115,66 +115,68 @@ class Timing(CodecEvaluator[TimingParams]):
         return self.params.repeats
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
-        """All parameters but `repeats`: more of them recompute nothing."""
+        """All parameters except `repeats`, so that more repeats recompute nothing."""
         return self.params.model_dump(mode="json", exclude={"repeats"})
 
     def evaluate(self, codec: AnyCodec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         cv2.setNumThreads(1)
         if codec.carries == "features":
-            yield from self._of_features(codec, sequence)
+            yield from self._time_features(codec, sequence)
         elif codec.stateless:
-            yield from self._alone(codec, sequence)
+            yield from self._time_frames(codec, sequence)
         else:
-            yield from self._in_order(codec, sequence)
+            yield from self._time_stream(codec, sequence)
 
-    def _alone(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
+    def _time_frames(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
         images = {index: sequence.read(index).image for index in evenly_spread(len(sequence), self.params.frames)}
         limits = self.params.warmup, self.params.min_ms
-        coded = codec.at_encoder(times_of_encoding, images, *limits)
-        decodings = codec.at_decoder(times_of_decoding, [bitstream for _, bitstream, *_ in coded], *limits)
+        coded = codec.at_encoder(time_encoding, images, *limits)
+        decodings = codec.at_decoder(time_decoding, [bitstream for _, bitstream, *_ in coded], *limits)
         unprepared = f"{codec.name} searches for nothing with this setting"
-        for (index, _, preparing, encoding, beside), decoding in zip(coded, decodings, strict=True):
-            searched = None if preparing is None else Duration(*preparing)
-            durations = _Durations(Duration(*encoding), Duration(*decoding), searched, Duration(*beside))
-            yield from _measured(durations, images[index], index, unprepared)
+        for (index, _, preparing, encoding, yardstick), decoding in zip(coded, decodings, strict=True):
+            search = None if preparing is None else Duration(*preparing)
+            durations = _Durations(Duration(*encoding), Duration(*decoding), search, Duration(*yardstick))
+            yield from _frame_measurements(durations, images[index], index, unprepared)
 
-    def _in_order(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
+    def _time_stream(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
         images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
         packets, encoding, yardsticks = codec.at_encoder(
-            encoded_in_order, sequence.frame_rate_hz, images, self.params.warmup
+            time_encoding_in_order, sequence.frame_rate_hz, images, self.params.warmup
         )
-        decoding = codec.at_decoder(decoded_in_order, packets, self.params.warmup)
+        decoding = codec.at_decoder(time_decoding_in_order, packets, self.params.warmup)
         for index, image in enumerate(images):
-            coded, decoded, beside = (Duration(*part[index]) for part in (encoding, decoding, yardsticks))
-            durations = _Durations(coded, decoded, None, beside)
-            yield from _measured(durations, image, index, f"{codec.name} has memory and prepares no frame alone")
+            encode, decode, yardstick = (Duration(*times[index]) for times in (encoding, decoding, yardsticks))
+            durations = _Durations(encode, decode, None, yardstick)
+            yield from _frame_measurements(
+                durations, image, index, f"{codec.name} has memory and prepares no frame alone"
+            )
 
-    def _of_features(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
-        """Encoding is all that the device does; what finding the features takes of it is a stage."""
+    def _time_features(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
+        """Encoding is all that the device does; extracting the features is a stage of it."""
         unprepared = f"{codec.name} finds features, and searches for nothing else"
         images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
-        packets, *times = codec.at_encoder(features_encoded_in_order, images, self.params.warmup)
-        times.append(codec.at_decoder(decoded_in_order, packets, self.params.warmup))
+        packets, *times = codec.at_encoder(time_feature_encoding_in_order, images, self.params.warmup)
+        times.append(codec.at_decoder(time_decoding_in_order, packets, self.params.warmup))
         for index, image in enumerate(images):
-            finding, coding, beside, decoding = (Duration(*part[index]) for part in times)
-            durations = _Durations(finding + coding, decoding, None, beside)
-            yield from _measured(durations, image, index, unprepared)
-            yield Measurement("encode_wall_ms", finding.wall_ms, index, "encode/extract")
-            yield Measurement("encode_cpu_ms", finding.cpu_ms, index, "encode/extract")
+            extraction, coding, yardstick, decoding = (Duration(*part[index]) for part in times)
+            durations = _Durations(extraction + coding, decoding, None, yardstick)
+            yield from _frame_measurements(durations, image, index, unprepared)
+            yield Measurement("encode_wall_ms", extraction.wall_ms, index, "encode/extract")
+            yield Measurement("encode_cpu_ms", extraction.cpu_ms, index, "encode/extract")
 
 
-def _measurements(direction: str, taken: Duration, image: Image, index: int) -> Iterator[Measurement]:
+def _direction_measurements(direction: str, duration: Duration, image: Image, index: int) -> Iterator[Measurement]:
     megapixels = image.shape[0] * image.shape[1] * 1e-6
-    yield Measurement(f"{direction}_wall_ms", taken.wall_ms, index)
-    yield Measurement(f"{direction}_cpu_ms", taken.cpu_ms, index)
-    yield Measurement(f"{direction}_mpix_per_s", megapixels / (max(taken.wall_ms, 1e-9) * 1e-3), index)
+    yield Measurement(f"{direction}_wall_ms", duration.wall_ms, index)
+    yield Measurement(f"{direction}_cpu_ms", duration.cpu_ms, index)
+    yield Measurement(f"{direction}_mpix_per_s", megapixels / (max(duration.wall_ms, 1e-9) * 1e-3), index)
 
 
-def _measured(durations: _Durations, image: Image, index: int, unprepared: str) -> Iterator[Measurement]:
-    """All metrics of one frame. unprepared: the reason why nothing was prepared, where that is so."""
+def _frame_measurements(durations: _Durations, image: Image, index: int, unprepared: str) -> Iterator[Measurement]:
+    """All metrics of one frame. unprepared: why nothing was prepared, if nothing was."""
     yield Measurement(_YARDSTICK_MS, durations.yardstick.wall_ms, index)
-    yield from _measurements("encode", durations.encoding, image, index)
-    yield from _measurements("decode", durations.decoding, image, index)
+    yield from _direction_measurements("encode", durations.encoding, image, index)
+    yield from _direction_measurements("decode", durations.decoding, image, index)
     preparing = durations.preparing
     reason = None if preparing else unprepared
     yield Measurement("prepare_wall_ms", preparing.wall_ms if preparing else math.nan, index, reason=reason)

@@ -1,4 +1,9 @@
-"""Instructions that encoding and decoding one image execute, counted by callgrind in a child process."""
+"""Machine instructions of encoding and decoding one image, counted by callgrind and sorted into the paper's classes.
+
+An x86-64 instruction belongs to the class of what it computes, once, however many lanes it works on. It adds a read
+and a write for each memory operand that it reads and writes. A fused multiply-add counts in both classes. Moves between
+registers, conversions, shuffles and jumps belong to none.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +37,8 @@ _CALLGRIND = (
 )
 
 
-def missing() -> str | None:
-    """Why instructions cannot be counted here, and what to install; None where they can."""
+def reason_unavailable() -> str | None:
+    """Why instructions cannot be counted on this machine, and what to install; None if they can."""
     if platform.machine() not in ("x86_64", "AMD64"):
         return f"machine counts need an x86-64 processor, this is {platform.machine()}"
     if shutil.which("valgrind") is None:
@@ -42,12 +47,12 @@ def missing() -> str | None:
     return f"{' and '.join(modules)} not installed: pip install 'codecbench[machine]'" if modules else None
 
 
-def executed(codec: AnyCodec[Any], image: Image) -> dict[str, OperationCounts]:
+def count_executed(codec: AnyCodec[Any], image: Image) -> dict[str, OperationCounts]:
     """Operations of one encoding and one decoding, under `encode` and `decode`.
 
-    The codec is prepared for the image, so no search for a rate is counted. Both have run once before, so no
-    compilation and no loading is. The instructions of the Python interpreter itself are left out; those of every
-    library and of compiled kernels are in.
+    The codec is prepared for the image, so a search for a rate is not counted. Both have run once before, so neither is
+    compiling or loading. The instructions of the Python interpreter are left out; those of every library and of
+    compiled kernels are included.
     """
     with tempfile.TemporaryDirectory(prefix="codecbench-machine-") as name:
         folder = Path(name)
@@ -58,20 +63,20 @@ def executed(codec: AnyCodec[Any], image: Image) -> dict[str, OperationCounts]:
             raise RuntimeError(f"valgrind ended with status {run.returncode}: {run.stderr.strip()[-2000:]}")
         kernels = pickle.loads((folder / "kernels.pickle").read_bytes())
         return {
-            direction: _counted(folder / f"profile.{number}", kernels)
+            direction: _count_profile(folder / f"profile.{number}", kernels)
             for number, direction in enumerate(("encode", "decode"), start=1)
         }
 
 
-def _counted(profile: Path, kernels: list[tuple[int, bytes]]) -> OperationCounts:
+def _count_profile(profile: Path, kernels: list[tuple[int, bytes]]) -> OperationCounts:
     with profile.open() as lines:
         objects = read_profile(lines)
     code = {name: object_code(Path(name)) if Path(name).is_file() else kernels for name in objects}
     total, unknown, everything = OperationCounts(), 0, 0
-    for name, addresses in relocated(objects, code).items():
+    for name, addresses in reassign_to_owners(objects, code).items():
         if _is_interpreter(name):
             continue
-        counts, lost = classified(addresses, code[name])
+        counts, lost = classify(addresses, code[name])
         total, unknown = total + counts, unknown + lost
         everything += addresses.total()
     if unknown > _MAX_UNKNOWN_SHARE * everything:
@@ -100,13 +105,13 @@ _PATTERNS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def counters_of(mnemonic: str) -> tuple[str, ...]:
-    """The counters that an instruction with this mnemonic adds to, memory aside."""
+    """The counters to which an instruction with this mnemonic adds, apart from memory accesses."""
     name = mnemonic.lower()
     return next((counters for pattern, counters in _PATTERNS if re.match(pattern, name)), ())
 
 
 def read_profile(lines: Iterable[str]) -> dict[str, Counter[int]]:
-    """How often the instruction at each address of each object was executed.
+    """By object and address, how often the instruction was executed.
 
     `lines` are a callgrind profile written with --dump-instr=yes and neither strings nor positions compressed.
     """
@@ -117,7 +122,7 @@ def read_profile(lines: Iterable[str]) -> dict[str, Counter[int]]:
         if line.startswith("ob="):
             current = executed.setdefault(line[3:].strip(), Counter())
         elif line.startswith("calls="):
-            inclusive = True  # the next cost is that of the function called, counted where it stands
+            inclusive = True  # the next cost is that of the called function, which is counted in its own place
         elif line.startswith("0x"):
             fields = line.split()
             if not inclusive and len(fields) > 2:
@@ -126,30 +131,32 @@ def read_profile(lines: Iterable[str]) -> dict[str, Counter[int]]:
     return executed
 
 
-def relocated(objects: dict[str, Counter[int]], code: dict[str, list[tuple[int, bytes]]]) -> dict[str, Counter[int]]:
-    """The profile with what was executed outside of its object's code given to the object that it belongs to.
+def reassign_to_owners(
+    objects: dict[str, Counter[int]], code: dict[str, list[tuple[int, bytes]]]
+) -> dict[str, Counter[int]]:
+    """The profile, with addresses outside the code of their object reassigned to the object that owns them.
 
-    A jump, rather than a call, from one library into another leaves callgrind in the first. The other is known
-    by having executed the same address on its own account.
+    After a jump, rather than a call, from one library into another, callgrind still reports the first. The owner is
+    recognised by having executed the same address itself.
     """
-    found = {name: Counter[int]() for name in objects}
+    counts = {name: Counter[int]() for name in objects}
     for name, addresses in objects.items():
         for address, times in addresses.items():
             owner = name
             if not _covers(code[name], address):
                 others = (other for other in objects if address in objects[other] and _covers(code[other], address))
                 owner = next(others, name)
-            found[owner][address] += times
-    return found
+            counts[owner][address] += times
+    return counts
 
 
 def _covers(code: list[tuple[int, bytes]], address: int) -> bool:
     return any(0 <= address - start < len(text) for start, text in code)
 
 
-def classified(executed: Counter[int], code: list[tuple[int, bytes]]) -> tuple[OperationCounts, int]:
+def classify(executed: Counter[int], code: list[tuple[int, bytes]]) -> tuple[OperationCounts, int]:
     """Counts of executed instructions, and how many lie outside `code`, which is (address, bytes) pieces."""
-    import iced_x86
+    import iced_x86  # an optional extra
 
     names = {value: name for name, value in vars(iced_x86.Mnemonic).items() if isinstance(value, int)}
     factory = iced_x86.InstructionInfoFactory()
@@ -178,7 +185,7 @@ def _accesses(info: Any, iced_x86: Any) -> Iterator[str]:
 
 def object_code(file: Path) -> list[tuple[int, bytes]]:
     """The executable segments of an ELF file as (virtual address, bytes)."""
-    from elftools.elf.elffile import ELFFile
+    from elftools.elf.elffile import ELFFile  # an optional extra
 
     with file.open("rb") as stream:
         segments = ELFFile(stream).iter_segments("PT_LOAD")
