@@ -1,4 +1,4 @@
-"""The link `constant`: a rate, a delay, jitter of a stated distribution, and packets lost independently."""
+"""Links that are the same at all times: `ideal`, and `constant` with a rate, a delay, jitter and independent losses."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 
 from codecbench.core.contracts.link import Channel, Link, Passage
 from codecbench.core.contracts.params import NoParams
-from codecbench.plugins.links.queued import Flight, RadioLink, RadioParams, Share, drawn
+from codecbench.plugins.links.queued import Flight, RadioLink, RadioParams, Share, random_numbers
 
 
 class Ideal(Link[NoParams]):
-    """No packet waits, travels or is lost."""
+    """Delivers every packet at once and loses none."""
 
     name = "ideal"
     version = "1"
@@ -32,7 +32,7 @@ class ConstantParams(RadioParams):
 
 
 class Constant(RadioLink[ConstantParams]):
-    """The same at all times."""
+    """Sends at a constant rate and loses packets independently of each other."""
 
     name = "constant"
     version = "1"
@@ -46,11 +46,11 @@ class _ConstantChannel(Channel):
     def __init__(self, params: ConstantParams, rng: np.random.Generator) -> None:
         loss_rng, jitter_rng = rng.spawn(2)
         self._seconds_per_byte = 8e-3 / params.rate_kbps
-        self._loss, self._chances = params.loss, drawn(loss_rng.random)
+        self._loss, self._draws = params.loss, random_numbers(loss_rng.random)
         self._flight = Flight(params.delay_ms, params.jitter_ms, params.jitter, jitter_rng)
 
     def carry(self, size_bytes: int, start_s: float) -> Passage:
         sent_s = start_s + size_bytes * self._seconds_per_byte
-        if self._loss and next(self._chances) < self._loss:
+        if self._loss and next(self._draws) < self._loss:
             return Passage(sent_s, None)
         return Passage(sent_s, sent_s + self._flight.duration_s())

@@ -1,4 +1,4 @@
-"""Links that robots use, as settings of the others. docs/link.md says where the numbers come from."""
+"""Links that robots use, as settings of the other links. docs/link.md has the sources of the numbers."""
 
 from __future__ import annotations
 

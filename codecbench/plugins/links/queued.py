@@ -1,4 +1,4 @@
-"""What our links with a delay and a queue have in common."""
+"""Base classes of links with a delay and a queue, their random numbers and the travel time of packets."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ R = TypeVar("R", bound=RadioParams)
 
 
 class QueuedLink(Link[Q]):
-    """A link that says what its parameters say."""
+    """A link with the delay and the queue of its parameters."""
 
     @property
     def delay_s(self) -> float:
@@ -53,7 +53,7 @@ class QueuedLink(Link[Q]):
 
 
 class RadioLink(QueuedLink[R]):
-    """A link at a rate, whose packets overtake each other where there is jitter."""
+    """A link at a rate, whose packets overtake each other if there is jitter."""
 
     @property
     def keeps_order(self) -> bool:
@@ -61,23 +61,23 @@ class RadioLink(QueuedLink[R]):
 
 
 _BLOCK: Final = 1024
-"""Drawing so many at once takes a tenth of the time of drawing them singly."""
+"""Drawing this many at once takes a tenth of the time of drawing them one by one."""
 
 
-def drawn(draw: Callable[[int], NDArray[np.float64]]) -> Iterator[float]:
-    """Endlessly many numbers of a generator's method, such as `rng.random`."""
+def random_numbers(draw: Callable[[int], NDArray[np.float64]]) -> Iterator[float]:
+    """Yield numbers without end from a method of a generator, such as `rng.random`."""
     while True:
         yield from draw(_BLOCK).tolist()
 
 
 class Flight:
-    """How long packets are on their way: a delay and jitter."""
+    """The travel time of packets: a delay and jitter."""
 
     def __init__(self, delay_ms: float, jitter_ms: float, jitter: Distribution, rng: np.random.Generator) -> None:
         self._delay_s = 1e-3 * delay_ms
         self._jitter_s = 1e-3 * jitter_ms if jitter == "exponential" else 2e-3 * jitter_ms
-        self._drawn = drawn(rng.standard_exponential if jitter == "exponential" else rng.random)
+        self._draws = random_numbers(rng.standard_exponential if jitter == "exponential" else rng.random)
 
     def duration_s(self) -> float:
-        """Of the next packet."""
-        return self._delay_s + self._jitter_s * next(self._drawn) if self._jitter_s else self._delay_s
+        """The travel time of the next packet."""
+        return self._delay_s + self._jitter_s * next(self._draws) if self._jitter_s else self._delay_s
