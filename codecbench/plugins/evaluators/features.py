@@ -28,6 +28,11 @@ from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.features.hamming import hamming
 
+LEVELS: Final = 8
+SCALE_FACTOR: Final = 1.2
+"""Pyramid of ORB as published and as ORB-SLAM uses it."""
+OPENCV_BORDER_PX: Final = 31
+"""OpenCV's ORB describes patches of 31 pixels and keeps its keypoints this far from the edge of the image."""
 MIN_MATCHES: Final = 8
 """The fewest matches that determine a fundamental matrix."""
 RANSAC_CONFIDENCE: Final = 0.999
@@ -174,13 +179,6 @@ def _inlier_ratio(pixels: NDArray[np.float64], pixels_now: NDArray[np.float64], 
         pixels, pixels_now, cv2.FM_RANSAC, inlier_px, RANSAC_CONFIDENCE, RANSAC_ITERATIONS
     )
     return 0.0 if inliers is None else float(np.count_nonzero(inliers) / len(pixels))
-
-
-LEVELS: Final = 8
-SCALE_FACTOR: Final = 1.2
-"""Pyramid of ORB as published and as ORB-SLAM uses it."""
-OPENCV_BORDER_PX: Final = 31
-"""OpenCV's ORB describes patches of 31 pixels and keeps its keypoints this far from the edge of the image."""
 
 
 @dataclass(frozen=True)

@@ -63,8 +63,6 @@ METRICS: Final = (
     ),
     *(metric for way, how in WAYS.items() for metric in _metrics_of(way, how)),
 )  # fmt: skip
-
-
 _BACKEND = "orb"
 
 

@@ -49,9 +49,9 @@ def worker_context(*modules: str) -> BaseContext:
     characters, and it is in the folder for temporary files, which may have a long name.
     """
     try:
-        return _ForkServer(*modules)
+        return _ForkServerContext(*modules)
     except OSError:
-        return _Spawned()
+        return _SpawnedContext()
 
 
 def server_pid() -> int | None:
@@ -65,7 +65,7 @@ class _ForkedProcess(ForkServerProcess):
             super().start()
 
 
-class _ForkServer(ForkServerContext):
+class _ForkServerContext(ForkServerContext):
     Process = _ForkedProcess
 
     def __init__(self, *modules: str) -> None:
@@ -81,7 +81,7 @@ class _SpawnedProcess(SpawnProcess):
             super().start()
 
 
-class _Spawned(SpawnContext):
+class _SpawnedContext(SpawnContext):
     Process = _SpawnedProcess
 
 

@@ -48,6 +48,9 @@ SINGLE_THREADED: Final = dict.fromkeys(
 )
 """Environment variables that are set before a worker starts, because libraries read them when they load."""
 
+_FOLDER_PREFIX: Final = "codecbench-workers-"
+_ROOM_BYTES: Final = 1 << 16
+"""Free space that a folder of workers needs on its disk."""
 _PR_SET_PDEATHSIG: Final = 1
 _PR_SET_CHILD_SUBREAPER: Final = 36
 
@@ -214,10 +217,6 @@ def _end_children() -> None:
                 os.waitpid(child.pid, 0)  # its own children are this process's by now
 
 
-_PREFIX: Final = "codecbench-workers-"
-_ROOM_BYTES: Final = 1 << 16
-
-
 class WorkerFolder(HeldFolder):
     """A new folder for the files of a pool's workers, in `parent` or else the system's folder for temporary files.
 
@@ -226,7 +225,7 @@ class WorkerFolder(HeldFolder):
     """
 
     def __init__(self, parent: str | None = None) -> None:
-        super().__init__(_PREFIX, parent)
+        super().__init__(_FOLDER_PREFIX, parent)
         room = self.path / "room"
         try:  # on a full disk every worker would end before its first task
             with open(room, "w", encoding="ascii") as file:

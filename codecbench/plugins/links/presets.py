@@ -40,7 +40,7 @@ class WifiEdgeParams(GilbertElliottParams):
 
 
 class WifiEdge(GilbertElliott):
-    """Wi-Fi where it ends: slow, and lost in bursts."""
+    """Wi-Fi at the edge of its range: slow, and lost in bursts."""
 
     name = "wifi_edge"
     params_type = WifiEdgeParams

@@ -14,10 +14,15 @@ from scipy.spatial.transform import Rotation
 from codecbench.core.contracts.sequence import Trajectory
 from codecbench.core.contracts.slam import LoopEvent, SlamRun, TrackedFrame
 
+STAMP_TOLERANCE_S: Final = 1e-3
+"""Saved stamps are rounded; frames are further apart than this."""
+
 LOOP: Final = b"*Loop detected"
 MERGE: Final = b"*Merge detected"
 NEW_MAP: Final = b"New Map created"
+"""Lines that ORB-SLAM3 prints."""
 UNKNOWN_FRAME: Final = -1
+"""The matched frame of a loop, which the log does not name."""
 
 
 class PrintedEvents:
@@ -42,10 +47,6 @@ class PrintedEvents:
             if LOOP in line or MERGE in line:
                 self.loops.append(LoopEvent(frame, UNKNOWN_FRAME, 0, merged_maps=MERGE in line))
             self.maps_started += NEW_MAP in line
-
-
-STAMP_TOLERANCE_S: Final = 1e-3
-"""Saved stamps are rounded; frames are further apart than this."""
 
 
 @dataclass(frozen=True)
