@@ -119,7 +119,7 @@ def relative_time(call: Callable[[], object], yardstick_ms: float | None = None)
 
     With `yardstick_ms` only pairs count whose yardstick takes about that long; None where there are too few of them.
     """
-    from codecbench.plugins.evaluators.timing.clock import repeated, yardstick
+    from codecbench.plugins.evaluators.timed_calls import time_repeatedly, yardstick
 
     call()
     ratios: list[float] = []
@@ -129,7 +129,7 @@ def relative_time(call: Callable[[], object], yardstick_ms: float | None = None)
     while len(ratios) < _LEAST_PAIRS:
         if yardstick_ms is not None and time.monotonic() > end_s:
             return None
-        taken = repeated(call, before)[1].cpu_ms
+        taken = time_repeatedly(call, before)[1].cpu_ms
         after = yardstick().cpu_ms
         mean = (before + after) / 2.0
         if yardstick_ms is None or abs(mean - yardstick_ms) <= _SAME_SPEED * yardstick_ms:

@@ -48,7 +48,7 @@ class CodecCase:
     def facts(self) -> dict[str, Any]:
         """What is recorded beside the times: version, size, PSNR, and operation counts where the codec counts them."""
         from codecbench.core.counting.trace import CountingTrace
-        from codecbench.plugins.evaluators.quality.psnr import psnr_db
+        from codecbench.plugins.evaluators.fidelity import psnr_db
 
         bitstream = self.prepared.encode(self.image)
         facts: dict[str, Any] = {

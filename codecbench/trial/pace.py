@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.engine.plugins.registry import Registry
-from codecbench.plugins.evaluators.timing.clock import timed, yardstick
+from codecbench.plugins.evaluators.timed_calls import time_call, yardstick
 from codecbench.trial.recording import Recording
 
 _USUAL_MS: Final = 0.7
@@ -61,5 +61,5 @@ def _reading_ms(registry: Registry, name: str, params: dict[str, Any]) -> float:
     taken = []
     for part in range(_FRAMES):
         with suppress(DatasetError):  # who runs the matrix is told
-            taken.append(timed(partial(sequence.read, len(sequence) * part // _FRAMES))[1].wall_ms)
+            taken.append(time_call(partial(sequence.read, len(sequence) * part // _FRAMES))[1].wall_ms)
     return median(taken or [0.0])

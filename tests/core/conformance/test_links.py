@@ -9,7 +9,7 @@ import pytest
 
 from codecbench import Channel, Link, Passage
 from codecbench.core.conformance.links import check_link
-from codecbench.plugins.links.ideal import Ideal
+from codecbench.plugins.links.constant import Ideal
 
 
 class Hasty(Ideal):

@@ -20,10 +20,9 @@ from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.delivery import Delivery, deliver
 from codecbench.core.simulation.receiver import Ranges
 from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
-from codecbench.plugins.links.constant import Constant
+from codecbench.plugins.links.constant import Constant, Ideal
 from codecbench.plugins.links.gilbert_elliott import GilbertElliott
-from codecbench.plugins.links.ideal import Ideal
-from codecbench.plugins.links.trace import Trace, embedded
+from codecbench.plugins.links.trace import Trace, embedded_trace
 
 HEADERS = {"mtu": 1000, "header_bytes": 0}
 
@@ -149,7 +148,7 @@ def test_what_comes_through_a_trace_is_what_it_gives(name: str) -> None:
         mtu=1500,
     )  # fmt: skip
     received = np.count_nonzero(found.handed_s <= 60.0) * 15_000
-    assert received == pytest.approx(1500 * len(embedded(name)), abs=2 * 15_000)  # type: ignore[arg-type]
+    assert received == pytest.approx(1500 * len(embedded_trace(name)), abs=2 * 15_000)  # type: ignore[arg-type]
 
 
 def test_only_the_newest_picture_waits() -> None:

@@ -24,7 +24,7 @@ from codecbench.core.contracts.executor import Finished, Task
 from codecbench.core.contracts.held_folder import left_running
 from codecbench.plugins.executors import pool
 from codecbench.plugins.executors.local import LocalExecutor
-from codecbench.plugins.executors.process_tree import runs
+from codecbench.plugins.executors.process_tree import is_running
 
 
 def prepare() -> None:
@@ -260,12 +260,12 @@ def test_a_process_that_a_task_leaves_for_the_next_one_is_not_ended(executor: Lo
     left = outcomes(executor, Task("leave", leave_for_the_next, None))["leave"].value
     found = outcomes(executor, *(Task(str(n), fork_and_return, None) for n in range(4)))
     _expect_gone(*(one.value for one in found.values()))
-    assert runs(left)
+    assert is_running(left)
     os.kill(left, signal.SIGKILL)
 
 
 def _expect_gone(*pids: int) -> None:
-    while any(map(runs, pids)):
+    while any(map(is_running, pids)):
         time.sleep(0.02)
 
 
