@@ -60,9 +60,9 @@ def test_figures_are_found_by_words(run: RunResult) -> None:
     (axes,) = figure.axes
     assert "PSNR" in axes.get_ylabel()
     assert run.plot().axes
-    with pytest.raises(ParamsError, match="'rate-nonsense'.*-psnr_"):
+    with pytest.raises(ParamsError, match=r"'rate-nonsense'.*-psnr_"):
         run.plot("rate-nonsense")
-    with pytest.raises(ParamsError, match="sequence 'other'; .* synthetic"):
+    with pytest.raises(ParamsError, match=r"sequence 'other'; .* synthetic"):
         run.plot("rate-psnr", "other")
 
 
@@ -72,7 +72,7 @@ def test_the_best_is_a_sentence_a_codec_or_at_a_rate_the_codec(run: RunResult) -
     rates = run.wide[run.wide["codec"] == "jpeg"]["quality.rate_bpp.mean"].sort_values().tolist()
     taken = run.best(float(np.sqrt(rates[0] * rates[1])))
     assert taken.curve in ("jpeg", "jpeg2000")  # type: ignore[union-attr]
-    with pytest.raises(ParamsError, match="nothing .*ranked at"):
+    with pytest.raises(ParamsError, match=r"nothing .*ranked at"):
         run.best(1e6)
 
 
@@ -96,9 +96,9 @@ def test_frames_come_back_as_they_were_coded(run: RunResult) -> None:
         ParamsError, match=r"^jpeg quality=11 is not one setting of the run; say which of raw, jpeg quality=10"
     ):
         run.frames("jpeg", {"quality": 11})
-    with pytest.raises(ParamsError, match="^jpeg ratio=10 is"):
+    with pytest.raises(ParamsError, match=r"^jpeg ratio=10 is"):
         run.frames("jpeg", {"ratio": 10})
-    with pytest.raises(ParamsError, match="of jpeg quality=10, .*=50"):
+    with pytest.raises(ParamsError, match=r"of jpeg quality=10, .*=50"):
         run.frames("jpeg")
     with pytest.raises(ParamsError, match="say which of"):
         run.frames("jpeg", "quality=11")
@@ -110,13 +110,13 @@ def test_a_report_is_written(run: RunResult, tmp_path: Path) -> None:
 
 def test_a_codec_by_its_name() -> None:
     assert codecbench.codec("jpeg", quality=7).params.quality == 7
-    with pytest.raises(ParamsError, match="qualty: .*'quality'"):
+    with pytest.raises(ParamsError, match=r"qualty: .*'quality'"):
         codecbench.codec("jpeg", qualty=7)
     with pytest.raises(ParamsError, match=r"quality: .* 100; got 700"):
         codecbench.codec("jpeg", quality=700)
-    with pytest.raises(PluginError, match="'jpge'.* 'jpeg'"):
+    with pytest.raises(PluginError, match=r"'jpge'.* 'jpeg'"):
         codecbench.codec("jpge")
-    with pytest.raises(ParamsError, match="one value .* quality: "):
+    with pytest.raises(ParamsError, match=r"one value .* quality: "):
         codecbench.codec("jpeg", quality=[10, 20])
 
 

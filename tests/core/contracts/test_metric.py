@@ -75,7 +75,7 @@ def test_a_wrong_view_is_refused(kind: str, metrics: tuple[str, ...], message: s
 
 
 def test_a_wrong_line_is_refused() -> None:
-    with pytest.raises(PluginError, match="'red'; .* before, after$"):
+    with pytest.raises(PluginError, match=r"'red'; .* before, after$"):
         Line("path", "red", np.zeros((2, 2)))  # type: ignore[arg-type]
     with pytest.raises(PluginError, match=r"points .*\(2, 3\); .*\(N, 2\)"):
         Line("path", "truth", np.zeros((2, 3)))

@@ -71,7 +71,7 @@ def test_measured_times_are_scaled_by_the_machine_that_takes_them() -> None:
     timed = given.with_measured_times({"encode_ms": 5.0, "decode_ms": 7.0, "slam_ms": 2.0})
     assert (timed.encode_s, timed.decode_s, timed.read_s) == pytest.approx((0.020, 0.021, 0.006))
     assert timed.requires == {}
-    with pytest.raises(TypeError, match="^'measured' is"):
+    with pytest.raises(TypeError, match=r"^'measured' is"):
         _ = given.encode_s
     assert LinkSettings(link="given", encode_ms=5).requires == {}
 

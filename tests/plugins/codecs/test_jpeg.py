@@ -98,7 +98,7 @@ def test_progressive_files_stay_below_half_a_gigabyte() -> None:
     progressive = bytearray(Jpeg.create(progressive=True).encode(np.zeros((16, 16, 3), np.uint8)))
     frame = progressive.index(b"\xff\xc2")
     progressive[frame + 5 : frame + 9] = b"\x20\x00\x20\x00"
-    with pytest.raises(BitstreamError, match="8192x8192 in scans .*33554432"):
+    with pytest.raises(BitstreamError, match=r"8192x8192 in scans .*33554432"):
         Jpeg.create().decode(bytes(progressive))
     large = np.broadcast_to(np.uint8(0), (8192, 8192))
     with pytest.raises(ImageError, match="33554432 pixels"):

@@ -61,7 +61,7 @@ def test_restart_markers_change_no_pixel_and_are_left_out_where_not_asked_for() 
     plain, marked = Jpeg.create(quality=60), Jpeg.create(quality=60, restart=2)
     assert np.array_equal(plain.decode(plain.encode(PICTURE)), marked.decode(marked.encode(PICTURE)))
     assert restarts(plain.encode(PICTURE)) == []
-    with pytest.raises(ValueError, match="restart .*sequential JPEG"):
+    with pytest.raises(ValueError, match=r"restart .*sequential JPEG"):
         Jpeg.create(restart=1, progressive=True)
 
 
@@ -131,5 +131,5 @@ def test_slices_of_multilevel_outlive_each_other() -> None:
 
 
 def test_other_codecs_have_no_such_thing() -> None:
-    with pytest.raises(Unsupported, match="^png decodes nothing"):
+    with pytest.raises(Unsupported, match=r"^png decodes nothing"):
         Png.create().decode_partial([Fragment(0, b"")])

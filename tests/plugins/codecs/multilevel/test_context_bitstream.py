@@ -119,5 +119,5 @@ def test_nothing_can_be_salvaged_without_a_header_or_restart_points() -> None:
         unpack_intact(stream_of())
     stream = bytearray(stream_of(3, restart=1))
     stream[56] ^= 1
-    with pytest.raises(BitstreamError, match="CRC-32.* header"):
+    with pytest.raises(BitstreamError, match=r"CRC-32.* header"):
         unpack_intact(bytes(stream))
