@@ -71,7 +71,7 @@ def test_measured_times_are_scaled_by_the_machine_that_takes_them() -> None:
     timed = given.with_measured_times({"encode_ms": 5.0, "decode_ms": 7.0, "slam_ms": 2.0})
     assert (timed.encode_s, timed.decode_s, timed.read_s) == pytest.approx((0.020, 0.021, 0.006))
     assert timed.requires == {}
-    with pytest.raises(TypeError, match="'measured' is no time yet"):
+    with pytest.raises(TypeError, match=r"^'measured' is"):
         _ = given.encode_s
     assert LinkSettings(link="given", encode_ms=5).requires == {}
 
@@ -81,7 +81,7 @@ def test_a_time_is_milliseconds_or_the_word(value: Any) -> None:
     with pytest.raises(ValidationError) as refused:
         LinkSettings(link="given", encode_ms=value)
     (error,) = refused.value.errors()
-    assert (error["loc"], error["msg"]) == (("encode_ms",), "must be milliseconds, 0 or more, or `measured`")
+    assert (error["loc"], error["type"]) == (("encode_ms",), "time")
 
 
 def test_headers_are_sent_with_every_packet() -> None:
@@ -427,10 +427,10 @@ def test_everything_has_one_fate(
 @pytest.mark.parametrize(
     ("params", "words"),
     [
-        ({"mtu": 500}, "mtu is about a link; name one"),
-        ({"link": "ideal", "mtu": 40, "header_bytes": 40}, "leaves nothing of mtu 40"),
+        ({"mtu": 500}, "mtu is about a link; name one, such as link: ideal"),
+        ({"link": "ideal", "mtu": 40, "header_bytes": 40}, "header_bytes 40 .*mtu 40"),
         ({"link": "ideal", "queue_policy": "drop_late"}, "needs deadline_ms"),
-        ({"link": "ideal", "partial": True, "transport": "arq"}, "arq sends lost packets again"),
+        ({"link": "ideal", "partial": True, "transport": "arq"}, "; arq sends lost"),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(params: dict[str, Any], words: str) -> None:
