@@ -167,5 +167,5 @@ class ReaderSettings(LinkSettings):
 
 def _seconds(time_ms: float | str) -> float:
     if isinstance(time_ms, str):
-        raise TypeError(f"{time_ms!r} is no time yet; `timed` puts what was measured in its place")
+        raise TypeError(f"{time_ms!r} is no time yet; `with_measured_times` puts what was measured in its place")
     return 1e-3 * time_ms
