@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import os
 import sys
-from typing import Any
+from typing import Any, Final
 
 import click
 from click.shell_completion import CompletionItem, shell_complete
 
-from codecbench.cli.completion import VARIABLE
+import codecbench.cli.late  # noqa: F401 - before what it loads late
+from codecbench.cli.exit_status import close_output, report_error
+from codecbench.core.engine.hosting import confinement
+
+COMPLETION_VARIABLE: Final = "_CODECBENCH_COMPLETE"
+"""The environment variable by which a shell asks for completions, as click calls it."""
 
 COMMANDS = {
     "try": ("codecbench.cli.try_:try_", "Try codecs on a recording of your own, and write a report."),
@@ -71,8 +77,6 @@ class LazyGroup(click.Group):
         try:
             return super().resolve_command(context, args)
         except click.UsageError as error:
-            import difflib
-
             near = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
             meant = f" Did you mean '{near[0]}'?" if near else ""
             raise click.UsageError(f"{error.message}{meant}", error.ctx) from None
@@ -83,20 +87,16 @@ class LazyGroup(click.Group):
 @click.option("--confine", is_flag=True, help="Keep other distributions' plugins from the network and from your files.")
 def cli(confine: bool) -> None:
     """Benchmark image codecs by what they do to the task that uses the images."""
-    from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, wanted
-
     if confine:
-        os.environ[VARIABLE] = "1"
-    if wanted():
-        confinement()
+        os.environ[confinement.VARIABLE] = "1"
+    if confinement.wanted():
+        confinement.confinement()
 
 
 def main() -> None:
     """Run the command of this process: whatever ends it is a message, not a traceback, and an exit status."""
-    from codecbench.cli.exit_status import close_output, report_error
-
-    if VARIABLE in os.environ:
-        sys.exit(shell_complete(cli, {}, "codecbench", VARIABLE, os.environ[VARIABLE]))
+    if COMPLETION_VARIABLE in os.environ:
+        sys.exit(shell_complete(cli, {}, "codecbench", COMPLETION_VARIABLE, os.environ[COMPLETION_VARIABLE]))
     status = 0
     try:
         with cli.make_context("codecbench", sys.argv[1:]) as context:

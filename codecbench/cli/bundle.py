@@ -6,7 +6,14 @@ from pathlib import Path
 
 import click
 
+from codecbench.cli import rank as ranking
+from codecbench.cli import show
+from codecbench.core.analysis import collect
+from codecbench.core.engine.bundling import packing, unpacking
+from codecbench.core.engine.plugins import registry
 from codecbench.core.engine.text import counted
+from codecbench.core.report import page as report_page
+from codecbench.core.report import tables
 
 
 @click.command()
@@ -19,9 +26,8 @@ def bundle(run: Path, bitstreams: bool, out: Path | None) -> None:
     It holds the matrix, the plan, every record with its trajectories, and the environments, each file with its
     SHA-256. The same run gives the same bytes.
     """
-    from codecbench.core.engine.bundling.packing import write_bundle
 
-    made = write_bundle(run, out, bitstreams=bitstreams)
+    made = packing.write_bundle(run, out, bitstreams=bitstreams)
     manifest = made.manifest
     statuses = ", ".join(f"{count} {status}" for status, count in manifest.statuses.items())
     click.echo(f"{made.path}: {counted(manifest.cells, 'cell')} ({statuses}), {counted(len(manifest.files), 'file')}")
@@ -43,24 +49,17 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
     A bundle is data: names, sizes and SHA-256 of its files are checked, no code of it is run, and nothing that its plan
     names is opened. What results mean is read from the plan where a plugin is not installed.
     """
-    from codecbench.cli.rank import show_answer, show_notes
-    from codecbench.cli.show import show_reasons
-    from codecbench.core.analysis.collect import absent_plugins, open_nonempty_run
-    from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.report.page import write_report
-    from codecbench.core.report.tables import notes
 
-    folder = out or folder_beside(bundle)
-    manifest = unpack_bundle(bundle, folder)
-    run = open_nonempty_run(folder)
-    show_notes(notes(run), True)
-    show_reasons(run)
+    folder = out or unpacking.folder_beside(bundle)
+    manifest = unpacking.unpack_bundle(bundle, folder)
+    run = collect.open_nonempty_run(folder)
+    ranking.show_notes(tables.notes(run), True)
+    show.show_reasons(run)
     click.echo(f"bundled by codecbench {manifest.codecbench}; its {len(manifest.files)} files are as they were bundled")
-    if absent := absent_plugins(run.plan, installed()):
+    if absent := collect.absent_plugins(run.plan, registry.installed()):
         click.echo(f"not installed, and shown by what the plan keeps of them: {', '.join(absent)}")
     path = folder / "report" / "report.html"
-    write_report(run, path, sequences_from=sequences_from)
+    report_page.write_report(run, path, sequences_from=sequences_from)
     click.echo(f"run folder: {folder}")
     click.echo(f"report: {path}\n")
-    show_answer(run)
+    ranking.show_answer(run)

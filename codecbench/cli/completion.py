@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import click
 
+from codecbench.core.engine.plugins import registry
+
 if TYPE_CHECKING:
     from codecbench.core.contracts.hooks import Kind
-
-VARIABLE: Final = "_CODECBENCH_COMPLETE"
-"""The environment variable by which a shell asks, as click calls it."""
 
 
 def codec_names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
@@ -24,7 +23,6 @@ def plugin_names(context: click.Context, parameter: click.Parameter, incomplete:
 
 
 def _names(kinds: tuple[Kind, ...], incomplete: str) -> list[str]:
-    from codecbench.core.engine.plugins.registry import installed
 
-    names = [plugin.spec.name for kind in kinds for plugin in installed().plugins(kind)]
+    names = [plugin.spec.name for kind in kinds for plugin in registry.installed().plugins(kind)]
     return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]

@@ -17,6 +17,7 @@ from rich.text import Text
 from codecbench.cli.saying import say
 from codecbench.cli.screen import Screen
 from codecbench.core.engine.running.progress import Progress
+from codecbench.core.engine.text import clean_line
 
 _LINE_EVERY_S: Final = 60.0
 
@@ -65,7 +66,6 @@ class Display:
 
     def show(self, progress: Progress) -> None:
         """Take in how far the run is. Raises ClickException where a cell failed and the run is to end then."""
-        from codecbench.core.engine.text import clean_line
 
         first = progress.measured and not self._bar.measured
         self._bar.measured = clean_line(progress.measured) or self._bar.measured

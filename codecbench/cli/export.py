@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from codecbench.cli.completion import codec_names
+from codecbench.core.conformance import settings
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.storage import atomic, bitstream_file
+from codecbench.core.engine.storage import store as run_store
 from codecbench.core.engine.text import counted
+from codecbench.plugins.codecs.video import codecs, muxing
 
 if TYPE_CHECKING:
     from codecbench.core.engine.planning.model import CodingJob
@@ -39,12 +44,10 @@ def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate
     Packets of a video codec go into one file as they are. Bitstreams of a codec of single pictures go into a new
     folder, a file each: JPEG, JPEG 2000 and PNG as such, others as codecbench keeps them.
     """
-    from codecbench.core.engine.storage.bitstream_file import BitstreamFile
-    from codecbench.core.engine.storage.store import Store
 
-    store = Store(run)
+    store = run_store.Store(run)
     job = _job(store.read_plan().jobs, codec, setting, sequence)
-    bitstreams = BitstreamFile(store.coded_path(job.id), job.id)
+    bitstreams = bitstream_file.BitstreamFile(store.coded_path(job.id), job.id)
     if bitstreams.is_stream:
         _write_video(bitstreams, job, frame_rate_hz or job.sequence.frame_rate_hz, out)
     else:
@@ -53,9 +56,8 @@ def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate
 
 def _job(jobs: Sequence[CodingJob], codec: str, setting: str, sequence: str | None) -> CodingJob:
     """The one job that is meant. Raises UsageError where it is none or several."""
-    from codecbench.core.conformance.settings import setting_from_text
 
-    wanted = setting_from_text(setting)
+    wanted = settings.setting_from_text(setting)
     found = [
         job for job in jobs
         if job.codec.name == codec and sequence in (None, job.sequence.name)
@@ -70,7 +72,6 @@ def _job(jobs: Sequence[CodingJob], codec: str, setting: str, sequence: str | No
 
 
 def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> None:
-    from codecbench.core.engine.storage.atomic import write_folder
 
     if out.suffix:
         message = f"{job.codec.name} codes pictures on their own, which are no video"
@@ -82,27 +83,23 @@ def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> Non
         data = bitstreams.read(frame)
         ending = next((ending for magic, ending in _ENDINGS.items() if data.startswith(magic)), ".bin")
         contents[f"{frame:06}{ending}"] = data
-    write_folder(out, contents)
+    atomic.write_folder(out, contents)
     click.echo(f"{out}: {counted(len(contents), 'file')}")
 
 
 def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float, out: Path) -> None:
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.storage.atomic import write_file
-    from codecbench.plugins.codecs.video.codecs import VideoCodec
-    from codecbench.plugins.codecs.video.muxing import file_from_packets
 
-    registry = installed()
+    plugins = registry.installed()
     codec = (
         None
-        if registry.find("codec", job.codec.name).hosted
-        else registry.create("codec", job.codec.name, job.codec.params)
+        if plugins.find("codec", job.codec.name).hosted
+        else plugins.create("codec", job.codec.name, job.codec.params)
     )
     if not frame_rate_hz:
         raise click.UsageError(f"the plan does not know the frame rate of {job.sequence.name}; give --frame-rate")
-    if not isinstance(codec, VideoCodec):
+    if not isinstance(codec, codecs.VideoCodec):
         raise click.UsageError(f"what {job.codec.full_name} sends is of no format that video files take")
     packets = [sent.packet(bitstreams.read(sent.frame)) for sent in bitstreams.packets]
-    content = file_from_packets(codec, packets, frame_rate_hz, out.name)
-    write_file(out, content)
+    content = muxing.file_from_packets(codec, packets, frame_rate_hz, out.name)
+    atomic.write_file(out, content)
     click.echo(f"{out}: {counted(len(packets), 'frame')}, {len(content)} bytes")

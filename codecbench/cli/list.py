@@ -8,9 +8,12 @@ from typing import Any
 import click
 
 from codecbench.cli.completion import plugin_names
+from codecbench.cli.saying import say
 from codecbench.core.contracts.hooks import KINDS, Kind
+from codecbench.core.engine.planning import schema as json_schema
 from codecbench.core.engine.plugins.plugin import Plugin
 from codecbench.core.engine.plugins.registry import Registry, installed
+from codecbench.core.engine.text import clean_line
 
 _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 
@@ -20,8 +23,6 @@ _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs to read.")
 def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
     """List installed plugins: all, or those of the KINDS given."""
-    from codecbench.cli.saying import say
-    from codecbench.core.engine.text import clean_line
 
     registry = installed()
     wanted = [_PLURALS[kind.replace("-", "_")] for kind in kinds] or list(KINDS)
@@ -70,8 +71,7 @@ def schema(plugin: str | None) -> None:
     An editor that knows the schema can complete and check a matrix as you type. If plugins of two kinds share a name,
     write KIND:NAME (codec:raw).
     """
-    from codecbench.core.engine.planning.schema import matrix_schema, plugin_schema
 
     registry = installed()
-    value = plugin_schema(registry, plugin) if plugin else matrix_schema(registry)
+    value = json_schema.plugin_schema(registry, plugin) if plugin else json_schema.matrix_schema(registry)
     click.echo(json.dumps(value, indent=2))

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING
 import click
 
 from codecbench.cli.saying import say
-from codecbench.core.engine.text import counted
+from codecbench.core.engine.planning import estimate
+from codecbench.core.engine.planning import matrix as matrix_file
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.running import code_changes, resume
+from codecbench.core.engine.storage import store as run_store
+from codecbench.core.engine.text import clean_line, counted
+from codecbench.core.rounds import running
 
 if TYPE_CHECKING:
     from codecbench.core.engine.planning.model import Plan
@@ -21,21 +27,13 @@ if TYPE_CHECKING:
 @click.option("--cells", is_flag=True, help="List every coding job and cell.")
 def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     """Show what `codecbench run MATRIX` would do: coding jobs, cells, what is done already and what is unsupported."""
-    from codecbench.core.engine.planning.estimate import estimate
-    from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.running.code_changes import code_notices
-    from codecbench.core.engine.running.resume import kept_cells, outdated_cells
-    from codecbench.core.engine.storage.store import Store
-    from codecbench.core.engine.text import clean_line
-    from codecbench.core.rounds.running import planned
 
-    made, folder, growth = planned(read_matrix(matrix), out)
-    store = Store(folder)
+    made, folder, growth = running.planned(matrix_file.read_matrix(matrix), out)
+    store = run_store.Store(folder)
     store.refuse_links()
     entries = store.entries() if folder.exists() else {}
-    outdated = outdated_cells(made, entries, store)
-    kept = kept_cells(made, {id_: entry for id_, entry in entries.items() if id_ not in outdated})
+    outdated = resume.outdated_cells(made, entries, store)
+    kept = resume.kept_cells(made, {id_: entry for id_, entry in entries.items() if id_ not in outdated})
     done = {id_ for id_, status in kept.items() if status == "ok"}
     unsupported = [cell for cell in made.cells if cell.unsupported is not None]
     missing = [cell for cell in made.cells if cell.id not in done and cell.unsupported is None]
@@ -51,7 +49,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     for reason, count in Counter(outdated.values()).items():
         _say(f"  done before, to do again ({count}): {reason}")
     with_result = {id_: entries[id_] for id_ in done}
-    for notice in code_notices(made, with_result, store, installed()):
+    for notice in code_changes.code_notices(made, with_result, store, registry.installed()):
         _say(f"  {clean_line(notice)}")
     if growth is not None:
         _say("the plan grows as its searches, repeats and awaited times need; this is its next round")
@@ -59,7 +57,7 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
         _say(f"  {clean_line(str(finding))}")
     if cells:
         _list_all(made, done, coded)
-    guess = estimate(made, missing, len(to_code), {key: entry.duration_s for key, entry in entries.items()})
+    guess = estimate.estimate(made, missing, len(to_code), {key: entry.duration_s for key, entry in entries.items()})
     basis = f"{counted(guess.measured, 'cell')} from measured durations, {guess.typical} from typical costs"
     workers = counted(made.run.workers, "worker")
     _say(f"estimated time: {_spoken(guess.seconds)} with {workers} ({basis})")

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
+from codecbench.cli import screen, show
 from codecbench.cli.formats import Format
 from codecbench.cli.saying import say
-from codecbench.cli.screen import plain_table
+from codecbench.core.analysis import collect
+from codecbench.core.report import answers, formatting, pasting, tables
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -40,29 +42,24 @@ def rank(run: Path, format_: str, everything: bool, rates: tuple[float, ...]) ->
     With --all also which codecs are ahead by each task on each sequence, what is undecided and what would decide it,
     and down to which rate each codec passes. JSON always has all of it.
     """
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.formatting import verdicts, verdicts_at
-    from codecbench.core.report.pasting import answer_tables
 
-    result = open_nonempty_run(run)
+    result = collect.open_nonempty_run(run)
     if rates:
-        show_found(result, [verdict for rate in rates for verdict in verdicts_at(result, rate)], format_)
+        show_found(result, [verdict for rate in rates for verdict in formatting.verdicts_at(result, rate)], format_)
         return
-    behind = verdicts(result) if everything or format_ == "json" else []
-    show_found(result, [*behind, *answer_tables(result)], format_, everything=everything)
+    behind = formatting.verdicts(result) if everything or format_ == "json" else []
+    show_found(result, [*behind, *pasting.answer_tables(result)], format_, everything=everything)
 
 
 def show_answer(result: RunResult) -> None:
     """Print the pick of each codec, and last what to take."""
-    from codecbench.core.report.pasting import answer_tables
 
-    _show_with_answer(answer_tables(result))
+    _show_with_answer(pasting.answer_tables(result))
 
 
 def _show_with_answer(found: list[Verdict]) -> None:
-    *tables, answer = found
-    show_verdicts(tables)
-    for sentence in answer.sentences:
+    show_verdicts(found[:-1])
+    for sentence in found[-1].sentences:
         say(sentence)
 
 
@@ -79,32 +76,25 @@ def power(run: Path, power: float, format_: str) -> None:
     share POWER of cases; and what would decide: settings, up to a hundredfold of frames, sequences, or nothing. For
     each setting that can fail: from which success rate on so many runs would show that it passes.
     """
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.formatting import power_verdicts
 
-    result = open_nonempty_run(run)
-    show_found(result, power_verdicts(result, power), format_)
+    result = collect.open_nonempty_run(run)
+    show_found(result, formatting.power_verdicts(result, power), format_)
 
 
 def show_everything(result: RunResult) -> None:
     """What stands behind the answer over all sequences together: verdicts, a sentence a codec, and the headlines."""
-    from codecbench.cli.show import show_table
-    from codecbench.core.report.answers import answers_of_settings
-    from codecbench.core.report.formatting import verdicts
-    from codecbench.core.report.tables import short_table
 
-    show_verdicts(verdicts(result, brief=True))
-    for found in answers_of_settings(result):
+    show_verdicts(formatting.verdicts(result, brief=True))
+    for found in answers.answers_of_settings(result):
         for line in (*found.lines, ""):
             say(line)
-    show_table(short_table(result, brief=True), result.plan.name)
+    show.show_table(tables.short_table(result, brief=True), result.plan.name)
 
 
 def show_found(result: RunResult, found: list[Verdict], format_: str, *, everything: bool = True) -> None:
     """The verdicts on a run in one of the formats, with what is noted of its settings; for people the answer last."""
-    from codecbench.core.report.tables import calibration_notes, setting_notes
 
-    notes = [*calibration_notes(result), *setting_notes(result)]
+    notes = [*tables.calibration_notes(result), *tables.setting_notes(result)]
     if format_ == "json":
         about = [None if verdict.about is None else verdict.about.name for verdict in found]
         rows = [{**vars(verdict), "about": name} for verdict, name in zip(found, about, strict=True)]
@@ -120,9 +110,7 @@ def show_found(result: RunResult, found: list[Verdict], format_: str, *, everyth
         if has_answer:
             _show_with_answer(found)
     else:
-        from codecbench.core.report.pasting import pasted
-
-        click.echo(pasted(result, found, format_), nl=False)
+        click.echo(pasting.pasted(result, found, format_), nl=False)
     if result.missing:
         say(f"{result.missing} cells of the plan have no record yet", err=True)
 
@@ -141,7 +129,7 @@ def show_verdicts(found: list[Verdict]) -> None:
     for verdict in found:
         say(verdict.title, bold=True)
         if verdict.rows:
-            plain_table(verdict.heads, verdict.rows)
+            screen.plain_table(verdict.heads, verdict.rows)
         for sentence in verdict.sentences:
             say(sentence)
         click.echo()

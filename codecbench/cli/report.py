@@ -7,6 +7,9 @@ from pathlib import Path
 import click
 
 from codecbench.cli.formats import Format
+from codecbench.core.analysis import collect
+from codecbench.core.report import figures
+from codecbench.core.report import page as report_page
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, text: str | None) -> list[int]:
@@ -28,12 +31,12 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @click.option("--frames", metavar="N,N,...", callback=_numbers, help="Show these frames, from 0, and not a few of all.")
 def report(run: Path, out: Path | None, format_: str, sequences_from: str | None, frames: list[int]) -> None:
     """Write a report of the RUN folder: one HTML page that needs no network, or its tables as Markdown or LaTeX."""
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.page import write_report
 
     suffix = {"html": "html", "markdown": "md", "latex": "tex"}[format_]
     path = out or run / "report" / f"report.{suffix}"
-    size = write_report(open_nonempty_run(run), path, format_, sequences_from=sequences_from, frames=frames)
+    size = report_page.write_report(
+        collect.open_nonempty_run(run), path, format_, sequences_from=sequences_from, frames=frames
+    )
     click.echo(f"{path} ({size / 1e6:.1f} MB)" if size > 1e5 else str(path))
 
 
@@ -43,11 +46,9 @@ def report(run: Path, out: Path | None, format_: str, sequences_from: str | None
 @click.option("--format", "format_", type=click.Choice(["svg", "png", "pdf"]), default="svg", show_default=True)
 def plot(run: Path, out: Path | None, format_: str) -> None:
     """Draw the figures of the RUN folder: curves over the rate, bars by stage, and maps."""
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.figures import draw_all
 
     path = None
-    for path in draw_all(open_nonempty_run(run), out or run / "report", format_):
+    for path in figures.draw_all(collect.open_nonempty_run(run), out or run / "report", format_):
         click.echo(str(path))
     if path is None:
         click.echo("no figure: the run has no path, and no rate with a metric that differs between codecs")

@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING
 
 import click
 
+from codecbench.cli import display, screen
 from codecbench.cli.completion import plugin_names
-from codecbench.cli.display import Display
 from codecbench.cli.exit_status import ExitStatus
-from codecbench.cli.rank import everything_option, show_answer
-from codecbench.cli.screen import Screen
-from codecbench.core.engine.text import counted
+from codecbench.cli.rank import everything_option, show_answer, show_everything, show_notes
+from codecbench.core.analysis import collect
+from codecbench.core.engine.planning import matrix as matrix_file
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.storage import store as run_store
+from codecbench.core.engine.text import clean_line, counted
+from codecbench.core.report import page as report_page
+from codecbench.core.report import tables
+from codecbench.core.rounds import running
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -54,21 +60,17 @@ def run(
     Continues where an earlier run in the same folder stopped. The exit status is 1 if a cell failed or none has a
     result, and 130 if the run was stopped.
     """
-    from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.text import clean_line
-    from codecbench.core.rounds.running import run_matrix
 
-    for problem in installed().problems:
+    for problem in registry.installed().problems:
         click.secho(f"left out: {clean_line(str(problem))}", fg="yellow", err=True)
-    read = read_matrix(matrix)
-    with Display(Screen(stderr=True, quiet=quiet), keep_going) as display:
-        summary = run_matrix(
+    read = matrix_file.read_matrix(matrix)
+    with display.Display(screen.Screen(stderr=True, quiet=quiet), keep_going) as progress:
+        summary = running.run_matrix(
             read,
             out,
             workers=workers,
             recompute=recompute,
-            listener=display.show,
+            listener=progress.show,
             log_level=logging.getLevelName(log_level.upper()),
         )
     result = _show(summary, quiet, everything)
@@ -88,16 +90,14 @@ def run_and_report(
     everything: print all that stands behind the answer. minutes: searches try nothing that would end later, and name
     what they did not try.
     """
-    from codecbench.core.report.page import write_report
-    from codecbench.core.rounds.running import run_matrix
 
-    with Display(Screen(stderr=True), True) as display:
-        summary = run_matrix(matrix, out, workers=workers, listener=display.show, minutes=minutes)
+    with display.Display(screen.Screen(stderr=True), True) as progress:
+        summary = running.run_matrix(matrix, out, workers=workers, listener=progress.show, minutes=minutes)
     result = _show(summary, False, everything)
     click.echo(f"the matrix: {summary.folder / 'matrix.yaml'}")
     if result is not None and "ok" in summary.statuses:
         page = (summary.folder / "report" / "report.html").absolute()
-        write_report(result, page, "html")
+        report_page.write_report(result, page, "html")
         click.echo(f"the report: {page.as_uri()}")
         show_answer(result)
         if show:
@@ -109,15 +109,11 @@ def _show(summary: RunSummary, quiet: bool, everything: bool) -> RunResult | Non
     """What is noted of the run and what became of its cells; before it, where asked, all that it decides."""
     result = None
     if not quiet and summary.statuses and not (summary.interrupted and "ok" not in summary.statuses):
-        from codecbench.cli.rank import show_everything, show_notes
-        from codecbench.core.analysis.collect import open_run
-        from codecbench.core.report.tables import notes
-
-        result = open_run(summary.folder)
+        result = collect.open_run(summary.folder)
         if everything:
             show_everything(result)
         stopped = [f"{found.codec}: {found.words}." for found in result.plan.searches if found.state == "stopped"]
-        show_notes([*stopped, *notes(result)], everything)
+        show_notes([*stopped, *tables.notes(result)], everything)
     show_cells(summary)
     return result
 
@@ -138,9 +134,8 @@ def _unsupported(summary: RunSummary) -> list[str]:
     """Why cells of the plan cannot be computed here, cell by cell."""
     if "unsupported" not in summary.statuses:
         return []
-    from codecbench.core.engine.storage.store import Store
 
-    store = Store(summary.folder)
+    store = run_store.Store(summary.folder)
     entries = store.entries()
     found = (entries[cell.id] for cell in store.read_plan().cells if cell.id in entries)
     return [entry.reason for entry in found if entry.status == "unsupported"]

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from codecbench.cli.saying import say
 from codecbench.cli.screen import Screen
+from codecbench.core.report import tables
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -29,15 +30,14 @@ _BETWEEN: Final = 2
 
 def show_summary(result: RunResult) -> None:
     """What evaluators declare as their headlines, the numbers that most people ask for first, and what is noted."""
-    from codecbench.core.report.tables import notes, short_table, varying
 
-    frame, same = varying(short_table(result, brief=True))
+    frame, same = tables.varying(tables.short_table(result, brief=True))
     left_out = show_table(frame, result.plan.name, brief=True)
     if same:
         say(same)
     if left_out:
         say(f"left out for lack of width: {', '.join(left_out)}; --all shows them")
-    for note in notes(result):
+    for note in tables.notes(result):
         say(note, fg="yellow")
 
 
@@ -54,10 +54,9 @@ def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False) -> 
     brief: one part of what fits, with texts folded at their words, those of `_LEADING` too where they would take more
     than half of the screen; what is left out is returned.
     """
-    from codecbench.core.report.tables import shown
 
     console = Screen()
-    texts = [[shown(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
+    texts = [[tables.shown(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
     names = [str(name) for name in frame.columns]
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     leading = [name in _LEADING for name in names]

@@ -8,6 +8,10 @@ from pathlib import Path
 
 import click
 
+from codecbench.cli.saying import say
+from codecbench.core.engine.storage import store as run_store
+from codecbench.core.engine.text import counted
+
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
@@ -15,11 +19,8 @@ import click
 @click.option("--failed", is_flag=True, help="List the cells that failed, with their reasons.")
 def status(run: Path, as_json: bool, failed: bool) -> None:
     """Show how far the run in the RUN folder has got, also while it is running."""
-    from codecbench.cli.saying import say
-    from codecbench.core.engine.storage.store import Store
-    from codecbench.core.engine.text import counted
 
-    store = Store(run)
+    store = run_store.Store(run)
     plan = store.read_plan()
     entries = store.entries()
     cells = [(cell, entries.get(cell.id)) for cell in plan.cells]

@@ -6,7 +6,16 @@ from pathlib import Path
 
 import click
 
+from codecbench.cli import show
 from codecbench.cli.formats import Format
+from codecbench.cli.rank import show_verdicts
+from codecbench.cli.saying import say
+from codecbench.core.analysis import collect
+from codecbench.core.analysis import table as analysis_table
+from codecbench.core.engine.storage import atomic
+from codecbench.core.engine.text import counted
+from codecbench.core.report import choosing as choosing_tables
+from codecbench.core.report import tables
 
 FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 
@@ -23,44 +32,33 @@ FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
 def table(run: Path, shape: str, every: bool, format_: str, columns: str | None, out: Path | None) -> None:
     """Print or write a table of the RUN folder: for people its headlines, for programs everything."""
-    from codecbench.cli.saying import say
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.analysis.table import NOTES
-    from codecbench.core.engine.text import counted
-    from codecbench.core.report.tables import chosen_columns, exported, short_table, varying
 
-    result = open_nonempty_run(run)
+    result = collect.open_nonempty_run(run)
     frame, same = result.wide if shape == "wide" else result.tidy, ""
     headlines = shape == "wide" and columns is None and not every
     if columns is not None:
-        frame = chosen_columns(frame, columns)
+        frame = tables.chosen_columns(frame, columns)
     if format_ == "text":
-        from codecbench.cli.rank import show_verdicts
-        from codecbench.cli.show import show_reasons, show_summary, show_table
-        from codecbench.core.report.choosing import over_links
-
         if out is not None:
             raise click.UsageError("--out needs a --format other than text")
         if headlines:
-            show_summary(result)
-            show_verdicts(over_links(result)[-1:])
-            show_reasons(result)
+            show.show_summary(result)
+            show_verdicts(choosing_tables.over_links(result)[-1:])
+            show.show_reasons(result)
             said = f"{len(frame.columns)} columns in all: --all or --columns shows them, --format csv writes them"
             say(said)
             return
         whole = [name for name in frame.columns if columns is not None or "/" not in name]
-        show_table(frame[whole], result.plan.name)
+        show.show_table(frame[whole], result.plan.name)
         if left_out := len(frame.columns) - len(whole):
             said = f"{counted(left_out, 'column')} of single stages left out here; --columns '*/*' shows them"
             say(said)
         return
     if headlines and format_ in ("markdown", "latex"):
-        frame, same = varying(short_table(result).join(result.wide.filter([NOTES])))
-    content = exported(frame, format_, same)
+        frame, same = tables.varying(tables.short_table(result).join(result.wide.filter([analysis_table.NOTES])))
+    content = tables.exported(frame, format_, same)
     if out is not None:
-        from codecbench.core.engine.storage.atomic import write_file
-
-        write_file(out, content)
+        atomic.write_file(out, content)
         click.echo(str(out))
     elif format_ == "parquet":
         raise click.UsageError("--format parquet is not text; name a file with --out")

@@ -12,6 +12,12 @@ import click
 
 from codecbench.cli.completion import codec_names
 from codecbench.cli.rank import everything_option
+from codecbench.cli.run import run_and_report
+from codecbench.core.engine.planning import matrix as matrix_file
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.storage import atomic
+from codecbench.core.engine.text import counted
+from codecbench.trial import example_files, trial
 
 if TYPE_CHECKING:
     from codecbench.trial.trial_matrix import TrialMatrix
@@ -62,15 +68,12 @@ def try_(
     """
     click.echo(f"looking at {path} ...", err=True)
     made = _made(path, codecs, aim, minutes, fov, set_)
-    from codecbench.core.engine.text import counted
 
     work = f"{counted(made.settings, 'setting')} on {counted(made.frames, 'frame')}"
     click.echo(f"{work}: about {made.minutes} min{', some of it to compile kernels, once' if made.compiles else ''}")
-    from codecbench.cli.run import run_and_report
-    from codecbench.core.engine.planning.matrix import matrix_from
 
     show = _on_desktop() if show is None else show
-    matrix = matrix_from(made.text)
+    matrix = matrix_file.matrix_from(made.text)
     run_and_report(matrix, out, workers=workers, show=show, minutes=made.most_minutes, everything=everything)
 
 
@@ -91,16 +94,18 @@ def init(
     force: bool,
 ) -> None:
     """Write a matrix with comments, to edit: one that suits a recording, or a small one to begin with."""
-    from codecbench.core.engine.storage.atomic import write_file
-    from codecbench.trial.example_files import example
 
-    text = example("first") if path is None else _made(path, codecs, aim, minutes, fov, set_, with_notes=True).text
+    text = (
+        example_files.example("first")
+        if path is None
+        else _made(path, codecs, aim, minutes, fov, set_, with_notes=True).text
+    )
     if str(out) == "-":
         click.echo(text, nl=False)
         return
     if out.exists() and not force:
         raise click.UsageError(f"{out} is there already; give another --out, or --force to write over it")
-    write_file(out, text.encode())
+    atomic.write_file(out, text.encode())
     click.echo(f"{out}; now: codecbench run {out}")
 
 
@@ -118,13 +123,11 @@ def _made(
 
     with_notes: also what its dataset says of it, which else the run does.
     """
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.trial.trial import added_params, fitted, looked_at
 
-    recording = looked_at(path, fov, added_params(set_))
+    recording = trial.looked_at(path, fov, trial.added_params(set_))
     for line in (str(recording), *(recording.notes if with_notes else ()), *recording.assumed):
         click.echo(line, err=True)
-    made = fitted(installed(), recording, codecs, aim, minutes)
+    made = trial.fitted(registry.installed(), recording, codecs, aim, minutes)
     for line in made.choices:
         click.echo(line, err=True)
     return made

@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from codecbench import __version__
 from codecbench.cli.completion import codec_names
 from codecbench.cli.exit_status import ExitStatus
 from codecbench.core.conformance.corpus import EntryResult, read_manifest, write_bitstreams
@@ -156,7 +157,6 @@ class _Report:
 
     def of_corpus(self, folder: Path, subjects: list[Subject], examiner: Examiner) -> None:
         """Write a corpus of the settings; a codec that fails in it ends that, and is reported."""
-        from codecbench import __version__
 
         try:
             makers = [partial(examiner.coded_pictures, subject) for subject in subjects]
@@ -189,7 +189,6 @@ class _Report:
         self._say(", ".join(f"{self.counts[status]} {status}" for status in _MARKS), bold=True)
         if json_path is None:
             return
-        from codecbench import __version__
 
         content = {
             "codecbench": __version__,

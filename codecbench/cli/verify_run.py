@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from codecbench.cli.exit_status import ExitStatus
+from codecbench.core.analysis import verification
+from codecbench.core.engine.text import clean_line
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.verification import Agreement
@@ -42,10 +44,8 @@ def verify_run(
     libraries have the versions that they had, and the processor the vector instructions, values must be equal to the
     last bit. The exit status is 1 if a cell differs, or none could be computed.
     """
-    from codecbench.core.analysis.verification import verify_run as verified
-    from codecbench.core.engine.text import clean_line
 
-    found = verified(
+    found = verification.verify_run(
         bundle, cells=cells, seed=seed, tolerance=tolerance, out=out, workers=workers, sequences_from=sequences_from,
     )  # fmt: skip
     chosen = f"{len(found.cells)} of {found.of} cells, chosen by seed {seed}"

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import click
 
+from codecbench.core.analysis import collect
+from codecbench.paper import page as paper_page
+
 
 @click.command()
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
@@ -15,8 +18,6 @@ def reproduce(runs: tuple[Path, ...], out: Path) -> None:
 
     Trajectories of further runs, such as examples/paper_loops.yaml, are added.
     """
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.paper.page import write_page
 
-    for path in write_page([open_nonempty_run(run) for run in runs], out):
+    for path in paper_page.write_page([collect.open_nonempty_run(run) for run in runs], out):
         click.echo(str(path))

@@ -6,12 +6,15 @@ package with the plugin.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from codecbench.pytesting.suite import CodecSuite
 
 __all__ = ["CodecSuite"]
+
+ALL: Final = "*"
+"""The value of `--codecbench` that names every installed codec."""
 
 
 def __getattr__(name: str) -> Any:

@@ -18,6 +18,8 @@ from typing import Any, Final, overload
 import numpy as np
 
 from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.environment import describe_machine
+from codecbench.plugins.evaluators.timing.clock import repeated, yardstick
 
 _EXACT: Final = ("version", "size_bytes", "psnr_db", "encode_operations", "decode_operations")
 _ROUNDING_DB: Final = 1e-9
@@ -100,6 +102,11 @@ class Baseline:
             write_file(self._path, (json.dumps({**self._known, **self._added}, indent=2) + "\n").encode())
 
 
+def open_baseline(path: Path | None, slower_percent: float) -> Baseline:
+    """Return the baseline at `path` for the processor of this machine."""
+    return Baseline(path, slower_percent, str(describe_machine()["cpu"]))
+
+
 @dataclass(frozen=True)
 class RelativeTime:
     """Processor time of a call in yardsticks, and of a yardstick in milliseconds: medians."""
@@ -119,8 +126,6 @@ def relative_time(call: Callable[[], object], yardstick_ms: float | None = None)
 
     With `yardstick_ms` only pairs count whose yardstick takes about that long; None where there are too few of them.
     """
-    from codecbench.plugins.evaluators.timing.clock import repeated, yardstick
-
     call()
     ratios: list[float] = []
     beside: list[float] = []

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from codecbench.core.analysis import collect
+from codecbench.core.analysis.choosing import Candidate, Demand, candidates
 from codecbench.core.contracts.errors import ParamsError
-
-if TYPE_CHECKING:
-    from codecbench.core.analysis.choosing import Candidate
+from codecbench.core.engine.plugins.registry import installed
+from codecbench.core.rounds import running
+from codecbench.trial.link_matrix import link_matrix
 
 MINUTES: Final = 10.0
 """How long repeats are added that are to tell more."""
@@ -42,17 +44,11 @@ def choose(
     machine that timed it. Raises ParamsError where nothing is asked of a matrix, CodecbenchError where nothing was
     measured, PluginError for a link that is not known, MatrixError and StoreError.
     """
-    from codecbench.core.analysis.choosing import Demand, candidates
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.rounds.running import run_matrix
-    from codecbench.trial.link_matrix import link_matrix
-
     demand = Demand(link, deadline_ms, error_m, share, device_factor)
     if not is_matrix(source):
-        return candidates(open_nonempty_run(Path(str(source))), demand)
+        return candidates(collect.open_nonempty_run(Path(str(source))), demand)
     if deadline_ms is None and error_m is None:
         raise ParamsError("say what is asked: deadline_ms, error_m or both")
     made = link_matrix(source if isinstance(source, Mapping) else Path(source), demand, installed())
-    summary = run_matrix(made.matrix, out, workers=workers, minutes=minutes)
-    return candidates(open_nonempty_run(summary.folder), made.demand)
+    summary = running.run_matrix(made.matrix, out, workers=workers, minutes=minutes)
+    return candidates(collect.open_nonempty_run(summary.folder), made.demand)

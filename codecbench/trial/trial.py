@@ -6,17 +6,17 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from codecbench.core.contracts.errors import DatasetError, ParamsError
+from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.engine.text import counted
+from codecbench.core.facade import Run, open_run
+from codecbench.core.rounds.running import run_matrix
 from codecbench.trial.focal_length import fov_deg_of
 from codecbench.trial.recording import MOST_SAID, Recording, less, recognised, said_of, unreadable
-
-if TYPE_CHECKING:
-    from codecbench.core.facade import Run
-    from codecbench.trial.trial_matrix import Purpose, TrialMatrix
+from codecbench.trial.trial_matrix import Purpose, TrialMatrix, trial_matrix
 
 
 def looked_at(
@@ -63,8 +63,6 @@ def fitted(
 
     Only frames that the matrix uses are read. Raises DatasetError where more than half of them cannot be.
     """
-    from codecbench.trial.trial_matrix import trial_matrix
-
     left_out: list[str] = []
     while True:
         made = trial_matrix(registry, recording, codecs, aim, minutes)
@@ -111,10 +109,6 @@ def trial(
     5 for tracking and else 2.5; the rest as of `looked_at` and `codecbench.run`. Raises DatasetError, ParamsError,
     MatrixError and Unsupported.
     """
-    from codecbench.core.engine.planning.matrix import matrix_from
-    from codecbench.core.facade import open_run
-    from codecbench.core.rounds.running import run_matrix
-
     registry = installed()
     made = fitted(registry, looked_at(path, fov_deg, params, registry), codecs, aim, minutes)
     matrix = matrix_from(made.text, registry)
