@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 from rich.progress import DownloadColumn, Progress, TaskID, TransferSpeedColumn
 
-from codecbench.cli import screen
-from codecbench.cli.saying import say
+from codecbench.cli import display
+from codecbench.cli.messages import say
 from codecbench.plugins.datasets import catalog
 
 
@@ -18,7 +18,6 @@ def data() -> None:
 @data.command("list")
 def list_data() -> None:
     """List the datasets that codecbench knows, with licence and citation."""
-
     for entry in catalog.list_datasets():
         state = "there" if entry.is_there else "by hand" if entry.manual else _size(entry.size_bytes)
         say(f"{entry.name}  [{state}]  sequence: use: {entry.kind}", indent=4, bold=True)
@@ -30,11 +29,10 @@ def list_data() -> None:
 @click.argument("name")
 def fetch(name: str) -> None:
     """Fetch the dataset NAME, resuming a download that was cut, and print its folder."""
-
     entry = catalog.find(name)
     click.echo(f"{entry.name}: {entry.licence}\n{entry.citation}", err=True)
     columns = (*Progress.get_default_columns(), DownloadColumn(), TransferSpeedColumn())
-    with Progress(*columns, console=screen.Screen(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=display.Screen(stderr=True), transient=True) as bar:
         tasks: dict[str, TaskID] = {}
 
         def show(file: str, arrived: int, total: int | None) -> None:
@@ -51,7 +49,6 @@ def fetch(name: str) -> None:
 @click.argument("name")
 def path(name: str) -> None:
     """Print the folder of the dataset NAME, if it has been fetched."""
-
     click.echo(str(catalog.path(name)))
 
 

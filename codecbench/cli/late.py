@@ -1,8 +1,10 @@
-"""Loading of modules at their first use, so that help and `codecbench list` are quick.
+"""Modules that load at their first use, so that help and `codecbench list` are quick.
 
-A command imports the modules that it needs at its top, as modules: `from codecbench.core.report import tables`. Those
-named here are executed when one of their names is first used. Loading all of them takes a second, help a tenth of it.
-`from codecbench.core.report.tables import shown` uses a name and loads the module at once.
+Loading all that commands need takes a second; help takes a tenth of that. So a command's module imports the modules
+listed here as modules, `from codecbench.core.report import tables`, and Python executes them when a name of theirs is
+first used. `from codecbench.core.report.tables import change` would execute the module at once.
+
+Before Python 3.12, `LazyLoader` has no lock: the main thread of a command uses a module before its other threads do.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from typing import Final
 
 LATE: Final = frozenset((
     "codecbench.cli.display",
-    "codecbench.cli.screen",
+    "codecbench.cli.examples",
     "codecbench.cli.show",
     "codecbench.core.analysis.choosing",
     "codecbench.core.analysis.collect",
@@ -57,14 +59,12 @@ LATE: Final = frozenset((
     "codecbench.plugins.codecs.video.muxing",
     "codecbench.plugins.datasets.catalog",
     "codecbench.trial.choosing",
-    "codecbench.trial.example_files",
-    "codecbench.trial.link_matrix",
     "codecbench.trial.trial",
 ))  # fmt: skip
 
 
 class _LateFinder:
-    """Finds the modules of `LATE`; all others are left to the finders behind it."""
+    """Import hook that finds the modules in `LATE` and leaves all others to the finders after it."""
 
     @staticmethod
     def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:

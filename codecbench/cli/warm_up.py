@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from codecbench.cli import screen
-from codecbench.cli.exit_status import ExitStatus
+from codecbench.cli import display
+from codecbench.cli.messages import ExitStatus
 from codecbench.core.engine.planning import matrix as matrix_file
 from codecbench.core.engine.planning import plan as planning
 from codecbench.core.engine.plugins import registry
@@ -39,7 +39,6 @@ def warm_up(matrices: tuple[Path, ...], workers: int | None, out: Path | None, p
     For container images, continuous integration and other machines; a run does the same at its beginning. With
     --record, do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
     """
-
     out = out and out.absolute()
     if packages:
         _record(matrices, packages)
@@ -52,10 +51,9 @@ def warm_up(matrices: tuple[Path, ...], workers: int | None, out: Path | None, p
 
 
 def _compile(wanted: WarmUp, workers: int | None) -> None:
-
     started = time.monotonic()
     executor = registry.installed().create("executor", "local", {})
-    console = screen.Screen(stderr=True)
+    console = display.Screen(stderr=True)
     try:
         executor.start(max(1, min(workers or os.cpu_count() or 1, len(wanted))), work.prepare_worker)
         with console.status("") as status:
@@ -75,7 +73,6 @@ def _compile(wanted: WarmUp, workers: int | None) -> None:
 
 
 def _record(matrices: tuple[Path, ...], packages: tuple[str, ...]) -> None:
-
     if not matrices:
         raise click.UsageError("--record needs a MATRIX whose work calls the kernels")
     for path in record_kernels.record_kernels(matrices, packages):

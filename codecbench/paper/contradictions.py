@@ -10,8 +10,7 @@ import numpy as np
 from codecbench.core.analysis.ranking import rankings_on
 from codecbench.core.report.formatting import less_rate
 from codecbench.core.report.tables import escaped
-from codecbench.paper import facts
-from codecbench.paper.measured import Measured
+from codecbench.paper.measured import Measured, paper_table
 
 
 def contradictions(runs: list[Measured]) -> Iterator[tuple[str, str, list[str]]]:
@@ -129,7 +128,7 @@ def _rounding(measured: Measured) -> list[str]:
     """Recomputed from the paper's own sizes; nothing of ours enters."""
     slips = []
     for name, label in (("table1_jpeg", "Table 1"), ("table2_jpeg2000", "Table 2"), ("table3_multilevel", "Table 3")):
-        for row in facts.table(name).to_dict("records"):
+        for row in paper_table(name).to_dict("records"):
             for prefix in ("l1_", "l2_") if name.startswith("table3") else ("",):
                 stated = float(row[f"{prefix}cr_percent"])
                 implied = 100 * (1 - row[f"{prefix}size_kb"] / row["original_kb"])

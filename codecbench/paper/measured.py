@@ -3,11 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cache, cached_property
+from importlib.resources import files
+from typing import Any, Final
+
+import pandas as pd
 
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.engine.planning.model import PluginSetting
+
+CITATION: Final = (
+    "O. M. Salih and J. Vásárhelyi, *End-to-End Multi-Level Encoding Methods of Visual Data Compression for Robust "
+    "Monocular Visual ORB-SLAM*"
+)
+
+RAW_RMSE: Final = 0.22114
+"""Figure 7, no unit given; the only sensible reading is meters, both trajectories in the first frame's coordinates."""
+
+SUCCEEDS_UP_TO: Final = {"jpeg_qf": ("qf", 15.0), "jpeg2000": ("cr_percent", 97.0), "multilevel": ("qf", 75.0)}
+"""The hardest setting at which the paper's trajectory holds, by our codec's name."""
+
+
+@cache
+def paper_table(name: str) -> pd.DataFrame:
+    """One of `table1_jpeg`, `table2_jpeg2000`, `table3_multilevel`, `table456_operations`."""
+    with (files(__package__) / f"{name}.csv").open("r") as stream:
+        return pd.read_csv(stream)
+
 
 KIB = 1024.0
 

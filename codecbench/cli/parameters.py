@@ -1,8 +1,8 @@
-"""What a shell offers where a name of a plugin is wanted."""
+"""Types and shell completions of command-line parameters."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,16 +13,22 @@ if TYPE_CHECKING:
 
 
 def codec_names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Codecs that are installed and begin so."""
+    """Complete the name of an installed codec."""
     return _names(("codec",), incomplete)
 
 
 def plugin_names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Codecs, evaluators and other plugins that are installed and begin so."""
+    """Complete the name of an installed plugin of any kind."""
     return _names(("codec", "evaluator", "dataset", "slam_backend", "executor", "link"), incomplete)
 
 
 def _names(kinds: tuple[Kind, ...], incomplete: str) -> list[str]:
-
     names = [plugin.spec.name for kind in kinds for plugin in registry.installed().plugins(kind)]
     return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]
+
+
+class Format(click.Choice[str]):
+    """A choice of output formats. `md` means `markdown`."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        return super().convert("markdown" if value == "md" and "markdown" in self.choices else value, param, ctx)
