@@ -1,4 +1,4 @@
-"""The page that puts the paper beside a run of ours."""
+"""The page that compares the paper with our runs."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ _DEVIATIONS = (
 
 
 def write_page(runs: list[RunResult], path: Path) -> list[Path]:
-    """Write the page of one or more runs to `path` and its figures beside it; gives everything written.
+    """Write the page of one or more runs to `path` and its figures beside it; return all paths written.
 
-    The tables are of the first run; all runs show their trajectories.
+    The tables are of the first run; the trajectories are of all runs.
     """
     measured = [Measured(run) for run in runs]
     folder = path.parent / f"{path.stem}-figures"
-    figures = [figure for number, run in enumerate(runs) for figure in _drawn(run, folder, number)]
-    parts = [*_introduction(runs), *contradicted(measured), *_frames(runs)]
+    figures = [figure for number, run in enumerate(runs) for figure in _draw_figures(run, folder, number)]
+    parts = [*_introduction(runs), *contradiction_list(measured), *_frames(runs)]
     parts += [*quality_tables(measured[0]), *operation_tables(measured[0]), *tracking_limits(measured)]
     parts += [*_trajectories(measured)]
     parts += [*_figures(figures, path), *deviations()]
@@ -51,16 +51,16 @@ def write_page(runs: list[RunResult], path: Path) -> list[Path]:
     return [path, *figures]
 
 
-def _drawn(run: RunResult, folder: Path, number: int) -> list[Path]:
-    """The figures of a run; those of later ones in a folder of their own."""
+def _draw_figures(run: RunResult, folder: Path, number: int) -> list[Path]:
+    """Draw the figures of a run, of each run after the first in a subfolder."""
     return list(draw_all(run, folder / run.plan.name if number else folder, "svg"))
 
 
 def _introduction(runs: list[RunResult]) -> Iterator[str]:
     yield "# The paper, reproduced and judged\n"
     names = " and ".join(f"`{run.plan.name}`" for run in runs)
-    made = f"Made by `codecbench reproduce` (codecbench {version('codecbench')}) from {names}."
-    yield f"{made} The paper is {CITATION}.\n"
+    origin = f"Made by `codecbench reproduce` (codecbench {version('codecbench')}) from {names}."
+    yield f"{origin} The paper is {CITATION}.\n"
     yield (
         "Nothing is tuned to the paper's figures. Where its numbers cannot be reached or contradict themselves, this "
         "page says so.\n"
@@ -88,22 +88,22 @@ def _frames(runs: list[RunResult]) -> Iterator[str]:
 
 
 def _provenance(run: RunResult) -> str:
-    """Where a run was computed, how much of it, and what it took."""
-    machines = sorted({str(known.get("machine", {}).get("cpu")) for known in run.environments.values()})
-    done = sum(result.status == "ok" for result in run.results)
+    """Describe where a run was computed, how much of it, and for how long."""
+    machines = sorted({str(environment.get("machine", {}).get("cpu")) for environment in run.environments.values()})
+    completed = sum(result.status == "ok" for result in run.results)
     unsupported = sum(result.status == "unsupported" for result in run.results)
     machine = escaped(", ".join(machines)) or "an unknown machine"
     rest = f"{len(run.failed)} failed, {unsupported} unsupported"
     hours = sum(result.duration_s for result in run.results) / 3600
     return (
-        f"`{run.plan.name}`, computed on {machine}: {done} of {len(run.plan.cells)} cells, {rest}; "
+        f"`{run.plan.name}`, computed on {machine}: {completed} of {len(run.plan.cells)} cells, {rest}; "
         f"their evaluation took {hours:.1f} hours of one worker's time.\n"
     )
 
 
 def tracking_limits(measured: list[Measured]) -> Iterator[str]:
-    """Down to which setting tracking works, by sequence and curve: a table for each run and trajectory evaluator."""
-    if not any(each.run.headlines("success") for each in measured):
+    """Yield a table for each run and trajectory evaluator: the limit of tracking by sequence and curve."""
+    if not any(numbers.run.headlines("success") for numbers in measured):
         return
     yield "## How far a codec can go before tracking fails\n"
     yield (
@@ -112,7 +112,7 @@ def tracking_limits(measured: list[Measured]) -> Iterator[str]:
         "starts). A setting holds if the 95 % Wilson interval of its success rate lies above one half. The limit is "
         "the least rate down to which every setting holds.\n"
     )
-    for run in (each.run for each in measured):
+    for run in (numbers.run for numbers in measured):
         tracked = run.tidy[run.tidy["metric"] == "tracked_fraction"].groupby("sequence", observed=True)["value"].max()
         untracked = [str(name) for name, most in tracked.items() if most == 0.0]
         if untracked:
@@ -139,15 +139,15 @@ def _limit(limit: Limit) -> list[object]:
 
 
 def _paper(curve: str) -> str:
-    known = SUCCEEDS_UP_TO.get(curve.split(" ")[0])
-    return f"{known[0]}={known[1]:g}" if known else "–"
+    limit = SUCCEEDS_UP_TO.get(curve.split(" ")[0])
+    return f"{limit[0]}={limit[1]:g}" if limit else "–"
 
 
 def _trajectories(measured: list[Measured]) -> Iterator[str]:
-    """Errors and coverage of every setting, side by side: one without the other misleads."""
+    """Yield errors and coverage of every setting side by side, as one without the other misleads."""
     heads = ["ATE [m]", "95 %", "ATE, first frame [m]", "tracked", "loops", "keyframes", "lost"]
     names = ("ate_rmse_m", "ate_rmse_first_frame_m", "tracked_fraction", "loops_closed", "keyframes", "times_lost")
-    for run in (each.run for each in measured):
+    for run in (numbers.run for numbers in measured):
         for evaluator in (columns[0].evaluator.title for columns in successes(run)):
             rows: list[list[object]] = []
             for row in run.wide.to_dict("records"):
@@ -171,8 +171,8 @@ def _figures(figures: list[Path], page: Path) -> Iterator[str]:
             yield f"![{path.stem.replace('-', ', ').replace('_', ' ')}]({path.relative_to(page.parent)})\n"
 
 
-def contradicted(measured: list[Measured]) -> Iterator[str]:
-    """The paper's contradictions, and what the runs say of each."""
+def contradiction_list(measured: list[Measured]) -> Iterator[str]:
+    """Yield the paper's contradictions, and our measurements of each."""
     yield "## Where the paper contradicts itself\n"
     for number, (title, statement, measurements) in enumerate(contradictions(measured), start=1):
         yield f"{number}. **{title}.** {statement} Found:\n"
@@ -180,7 +180,7 @@ def contradicted(measured: list[Measured]) -> Iterator[str]:
 
 
 def deviations() -> Iterator[str]:
-    """What differs from the paper, and why."""
+    """Yield what differs from the paper, and why."""
     yield "## Deviations and their causes\n"
     yield "\n".join(f"- {line}" for line in _DEVIATIONS) + "\n"
 
@@ -192,21 +192,21 @@ _CLASSES = ("mults", "adds", "bit_ops", "comparisons", "shifts", "reads", "write
 
 
 def quality_tables(measured: Measured) -> Iterator[str]:
-    """Tables 1, 2 and 3: size, quality, compression ratio and time, at the paper's settings, on every sequence."""
+    """Yield Tables 1, 2 and 3: size, quality, compression ratio and time at the paper's settings on each sequence."""
     yield "## Table 1: JPEG with a quantization factor\n"
-    yield _sized(measured, "jpeg_qf", "qf", paper_table("table1_jpeg"), {})
+    yield _size_table(measured, "jpeg_qf", "qf", paper_table("table1_jpeg"), {})
     yield "## Table 2: JPEG 2000\n"
-    yield _sized(measured, "jpeg2000", "cr_percent", paper_table("table2_jpeg2000"), {})
+    yield _size_table(measured, "jpeg2000", "cr_percent", paper_table("table2_jpeg2000"), {})
     paper = paper_table("table3_multilevel")
     for levels in (1, 2):
         renamed = paper.rename(
             columns={f"l{levels}_{name}": name for name in ("size_kb", "cr_percent", "encode_s", "decode_s")}
         )
         yield f"## Table 3: multi-level, {'one level' if levels == 1 else 'two levels'}\n"
-        yield _sized(measured, "multilevel", "qf", renamed, {"levels": levels})
+        yield _size_table(measured, "multilevel", "qf", renamed, {"levels": levels})
 
 
-def _sized(measured: Measured, codec: str, key: str, paper: pd.DataFrame, fixed: dict[str, Any]) -> str:
+def _size_table(measured: Measured, codec: str, key: str, paper: pd.DataFrame, fixed: dict[str, Any]) -> str:
     heads = [
         key, "", "size [KiB]", "against the paper", "PSNR [dB]", "SSIM", "CR [%]", "encode [ms]", "decode [ms]",
     ]  # fmt: skip
@@ -214,12 +214,14 @@ def _sized(measured: Measured, codec: str, key: str, paper: pd.DataFrame, fixed:
     for value, group in paper.groupby(key, sort=True):
         mean_kib = float(group["size_kb"].mean())
         setting = measured.setting(codec, **{key: value}, **fixed)
-        rows += [[value, *_stated(row)] for row in group.to_dict("records")]
-        rows += [[value, f"ours, {name}", *_ours(measured, name, setting, mean_kib)] for name in measured.sequences]
+        rows += [[value, *_paper_columns(row)] for row in group.to_dict("records")]
+        rows += [
+            [value, f"ours, {name}", *_our_columns(measured, name, setting, mean_kib)] for name in measured.sequences
+        ]
     return foreign_table(heads, rows)
 
 
-def _stated(row: dict[Any, Any]) -> list[Any]:
+def _paper_columns(row: dict[Any, Any]) -> list[Any]:
     quality = [row["psnr_db"], row["ssim"], row.get("cr_percent")]
     return [
         f"paper, frame {row['frame']}",
@@ -231,7 +233,7 @@ def _stated(row: dict[Any, Any]) -> list[Any]:
     ]
 
 
-def _ours(measured: Measured, sequence: str, setting: PluginSetting | None, paper_kib: float) -> list[Any]:
+def _our_columns(measured: Measured, sequence: str, setting: PluginSetting | None, paper_kib: float) -> list[Any]:
     size = measured.size_kib(sequence, setting)
     values = [measured.value(sequence, setting, column) for column in (_PSNR, _SSIM, _CR)]
     times = [measured.value(sequence, setting, f"timing.{way}_wall_ms.median") for way in ("encode", "decode")]
@@ -239,7 +241,7 @@ def _ours(measured: Measured, sequence: str, setting: PluginSetting | None, pape
 
 
 def operation_tables(measured: Measured) -> Iterator[str]:
-    """Tables 4, 5 and 6: the paper's counts, the same from its formulas, and what our kernels really did."""
+    """Yield Tables 4, 5 and 6: operation counts of the paper, of its formulas, and of our kernels."""
     paper = paper_table("table456_operations")
     settings = {
         4: measured.setting("jpeg_qf", qf=5),
@@ -254,12 +256,12 @@ def operation_tables(measured: Measured) -> Iterator[str]:
             [f"paper, {row['direction']} {row['stage']}", *(row[name] for name in _CLASSES), row["total"]]
             for row in stated.to_dict("records")
         ]
-        rows += _counted(measured, setting)
+        rows += _operation_rows(measured, setting)
         yield foreign_table(["stage", *(name.replace("_", " ") for name in _CLASSES), "total"], rows)
 
 
-def _counted(measured: Measured, setting: PluginSetting | None) -> list[list[Any]]:
-    """Our totals by family and direction on each sequence; opaque codecs have no source counts."""
+def _operation_rows(measured: Measured, setting: PluginSetting | None) -> list[list[Any]]:
+    """Return our totals by family and direction on each sequence; opaque codecs have no source counts."""
     rows: list[list[Any]] = []
     for sequence in measured.sequences:
         for family in ("model", "source", "machine"):

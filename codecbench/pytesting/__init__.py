@@ -1,7 +1,7 @@
-"""The pytest side: benchmarks of codecs, their baseline, and the conformance checks as a test class.
+"""pytest support: benchmarks of codecs, their baseline, and the conformance checks as a test class.
 
-`CodecSuite` is loaded when it is first used, because every pytest run of whoever has codecbench installed imports this
-package with the plugin.
+`CodecSuite` is loaded at its first use, because every pytest run in an environment with codecbench imports this package
+for its plugin.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from codecbench.pytesting import ALL
 
 @dataclass(frozen=True)
 class CodecCase:
-    """One codec setting beside the picture that it is benchmarked on."""
+    """A codec setting, and the image of its benchmark."""
 
     name: str
     codec: Codec[Any]
@@ -33,11 +33,11 @@ class CodecCase:
 
     @cached_property
     def prepared(self) -> Codec[Any]:
-        """The codec with what it searches for on this picture already found."""
+        """The codec after its search on this image."""
         return self.codec.prepared(self.image)
 
     def facts(self) -> dict[str, Any]:
-        """What is recorded beside the times: version, size, PSNR, and operation counts where the codec counts them."""
+        """Return what is recorded beside the times: version, size, PSNR, and operation counts if the codec has them."""
         bitstream = self.prepared.encode(self.image)
         facts: dict[str, Any] = {
             "codec": self.name,
@@ -64,13 +64,13 @@ def codec_cases(text: str) -> list[CodecCase]:
             continue
         chosen = plugin.spec.name if plugin is not None else name
         try:
-            registry.ask(loads, "codec", chosen, of=[("codec", chosen)])  # what ends its process ends another
+            registry.ask(loads, "codec", chosen, of=[("codec", chosen)])  # a crash ends another process
             cls = registry.load("codec", chosen)
             if not cls.stateless:
                 raise Unsupported(f"{chosen} codes sequences; these benchmarks are of single pictures")
             for example in [setting_from_text(rest)] if rest else cls.examples:
                 codec = cls(cls.params_type.model_validate(example))
-                cases.append(CodecCase(setting_label(chosen, example), codec, _picture(cls)))
+                cases.append(CodecCase(setting_label(chosen, example), codec, _photograph(cls)))
         except Unsupported as error:
             if plugin is None:
                 raise pytest.UsageError(f"--codecbench {text}: {error}") from None
@@ -82,8 +82,8 @@ def codec_cases(text: str) -> list[CodecCase]:
     return cases
 
 
-def _picture(cls: type[Codec[Any]]) -> Image:
-    """A 640x480 photograph, in colour where the codec takes colour."""
+def _photograph(cls: type[Codec[Any]]) -> Image:
+    """Return a 640x480 photograph, in color if the codec accepts color."""
     photograph = skimage.data.astronaut()  # type: ignore[no-untyped-call]
     image = np.asarray(cv2.resize(photograph, (640, 640), interpolation=cv2.INTER_CUBIC), np.uint8)[80:560]
     image = np.ascontiguousarray(image)

@@ -70,7 +70,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
-    """The file of `--codecbench-baseline`, with what it lacks added at the end of the session."""
+    """The file of `--codecbench-baseline`; at the end of the session, what it lacks is added."""
     from codecbench.pytesting.baseline import open_baseline  # this plugin is loaded by every pytest run
 
     option = request.config.getoption("--codecbench-baseline")
@@ -83,7 +83,7 @@ def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
 
 
 def _cases(text: str) -> list[CodecCase]:
-    """The cases of one `--codecbench` value. Raises pytest.UsageError for what cannot be understood."""
+    """Return the cases of one `--codecbench` value. Raises pytest.UsageError if it cannot be understood."""
     from codecbench.pytesting.cases import codec_cases  # this plugin is loaded by every pytest run
 
     return codec_cases(text)
