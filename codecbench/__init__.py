@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.view import Drawing, FrameTimeline, KeypointOverlay, Line, TimelineRow, View
     from codecbench.core.counting.kernel import kernel
     from codecbench.core.counting.trace import NULL_TRACE, Trace
-    from codecbench.core.engine.planning.one_codec import codec
+    from codecbench.core.engine.planning.description import codec
     from codecbench.core.facade import Run, bundle, open_bundle, open_run, run
     from codecbench.trial.choosing import choose
     from codecbench.trial.trial import trial
@@ -102,7 +102,7 @@ _HOMES = {
     "codecbench.core.counting.kernel": ("kernel",),
     "codecbench.core.counting.trace": ("NULL_TRACE", "Trace"),
     "codecbench.core.facade": ("Run", "bundle", "open_bundle", "open_run", "run"),
-    "codecbench.core.engine.planning.one_codec": ("codec",),
+    "codecbench.core.engine.planning.description": ("codec",),
     "codecbench.core.analysis.run_result": ("RunResult",),
     "codecbench.trial.choosing": ("choose",),
     "codecbench.trial.trial": ("trial",),

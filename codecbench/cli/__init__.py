@@ -89,7 +89,7 @@ def cli(confine: bool) -> None:
     """Benchmark image codecs by what they do to the task that uses the images."""
     if confine:
         os.environ[confinement.VARIABLE] = "1"
-    if confinement.wanted():
+    if confinement.is_confinement_requested():
         confinement.confinement()
 
 

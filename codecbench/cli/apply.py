@@ -54,7 +54,7 @@ def apply(
     if setting and len(codecs) != 1:
         raise click.UsageError("--setting is of one codec; give one --codec")
     result = collect.open_nonempty_run(run)
-    picks_by_link = {link: views.picked(result, link) for link in choosing.links_read(result) or [""]}
+    picks_by_link = {link: views.answer_picks(result, link) for link in choosing.links_with_readers(result) or [""]}
     first_picks = [picks[0] for picks in picks_by_link.values() if picks]
     answer = dict.fromkeys((pick.codec, pick.setting) for pick in first_picks if pick.passes)
     jobs = [_job(result, codec, label=label) for codec, label in answer]

@@ -11,7 +11,7 @@ from codecbench.cli import rank as ranking
 from codecbench.cli import show
 from codecbench.cli.messages import ExitStatus
 from codecbench.core.analysis import collect, verification
-from codecbench.core.engine.bundling import packing, unpacking
+from codecbench.core.engine.bundling import packing
 from codecbench.core.engine.plugins import registry
 from codecbench.core.engine.text import clean_line, counted
 from codecbench.core.report import page as report_page
@@ -53,8 +53,8 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
     A bundle is data: names, sizes and SHA-256 of its files are checked, no code of it is run, and nothing that its plan
     names is opened. What results mean is read from the plan where a plugin is not installed.
     """
-    folder = out or unpacking.folder_beside(bundle)
-    manifest = unpacking.unpack_bundle(bundle, folder)
+    folder = out or packing.folder_beside(bundle)
+    manifest = packing.unpack_bundle(bundle, folder)
     run = collect.open_nonempty_run(folder)
     ranking.show_notes(tables.notes(run), True)
     show.show_reasons(run)

@@ -102,7 +102,7 @@ def choose(
 
 def _show(run: RunResult, demand: Demand, format_: str, everything: bool) -> None:
     """Print the pick of each codec and the answers, and every setting if asked."""
-    *tables, answer = choosing_tables.chosen(run, demand)
+    *tables, answer = choosing_tables.choices(run, demand)
     details = tables if everything or format_ == "json" else []
     print_in_format(run, [*details, *choosing_tables.link_picks(run, demand), answer], format_, everything=everything)
 

@@ -126,14 +126,14 @@ def _show(rows: list[Comparison], everything: bool) -> None:
             "sequence": row.key[0],
             "setting": " ".join(row.key[1:3]).rstrip(),
             "metric": _metric(row),
-            "before": tables.shown(row.before),
-            "after": tables.shown(row.after),
-            "change %": tables.shown(100.0 * row.relative),
+            "before": tables.format_value(row.before),
+            "after": tables.format_value(row.after),
+            "change %": tables.format_value(100.0 * row.relative),
             "note": row.note,
         }
         for row in rows[:most]
     ]
-    table = formatting.compact("", cells)
+    table = formatting.compact_table("", cells)
     display.plain_table(table.heads, table.rows)
     for sentence in table.sentences:
         say(sentence)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.option("--cells", is_flag=True, help="List every coding job and cell.")
 def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     """Show what `codecbench run MATRIX` would do: coding jobs, cells, what is done already and what is unsupported."""
-    next_plan, folder, growth = running.planned(matrix_file.read_matrix(matrix), out)
+    next_plan, folder, growth = running.plan_matrix(matrix_file.read_matrix(matrix), out)
     store = run_store.Store(folder)
     store.refuse_links()
     entries = store.entries() if folder.exists() else {}

@@ -12,7 +12,7 @@ from codecbench.cli import display, show
 from codecbench.cli.messages import say
 from codecbench.cli.parameters import Format
 from codecbench.core.analysis import collect
-from codecbench.core.report import answers, formatting, pasting, tables
+from codecbench.core.report import answers, formatting, picks, tables
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -49,12 +49,12 @@ def rank(run: Path, format_: str, everything: bool, rates: tuple[float, ...]) ->
         )
         return
     details = formatting.verdicts(result) if everything or format_ == "json" else []
-    print_in_format(result, [*details, *pasting.answer_tables(result)], format_, everything=everything)
+    print_in_format(result, [*details, *picks.answer_tables(result)], format_, everything=everything)
 
 
 def show_answer(result: RunResult) -> None:
     """Print the pick of each codec, and the answer last."""
-    _show_tables_and_answer(pasting.answer_tables(result))
+    _show_tables_and_answer(picks.answer_tables(result))
 
 
 def _show_tables_and_answer(verdicts: list[Verdict]) -> None:
@@ -107,7 +107,7 @@ def print_in_format(result: RunResult, verdicts: list[Verdict], format_: str, *,
         if has_answer:
             _show_tables_and_answer(verdicts)
     else:
-        click.echo(pasting.pasted(result, verdicts, format_), nl=False)
+        click.echo(picks.text_to_paste(result, verdicts, format_), nl=False)
     if result.missing:
         say(f"{result.missing} cells of the plan have no record yet", err=True)
 

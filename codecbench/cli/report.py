@@ -79,13 +79,13 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
     frame, same = result.wide if shape == "wide" else result.tidy, ""
     headlines = shape == "wide" and columns is None and not every
     if columns is not None:
-        frame = tables.chosen_columns(frame, columns)
+        frame = tables.select_columns(frame, columns)
     if format_ == "text":
         if out is not None:
             raise click.UsageError("--out needs a --format other than text")
         if headlines:
             show.show_summary(result)
-            show_verdicts(choosing_tables.over_links(result)[-1:])
+            show_verdicts(choosing_tables.link_verdicts(result)[-1:])
             show.show_reasons(result)
             said = f"{len(frame.columns)} columns in all: --all or --columns shows them, --format csv writes them"
             say(said)
@@ -97,8 +97,10 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
             say(said)
         return
     if headlines and format_ in ("markdown", "latex"):
-        frame, same = tables.varying(tables.short_table(result).join(result.wide.filter([analysis_table.NOTES])))
-    content = tables.exported(frame, format_, same)
+        frame, same = tables.drop_constant_columns(
+            tables.short_table(result).join(result.wide.filter([analysis_table.NOTES]))
+        )
+    content = tables.export_table(frame, format_, same)
     if out is not None:
         atomic.write_file(out, content)
         click.echo(str(out))

@@ -25,7 +25,7 @@ from codecbench.core.rounds import running
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
     from codecbench.core.engine.planning.matrix import Matrix
-    from codecbench.core.engine.running.summary import RunSummary
+    from codecbench.core.engine.running.progress import RunSummary
 
 LEVELS = ("debug", "info", "warning", "error")
 

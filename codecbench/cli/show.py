@@ -30,7 +30,7 @@ _BETWEEN: Final = 2
 
 def show_summary(result: RunResult) -> None:
     """Print the primary metrics of the evaluators as a table, and notes."""
-    frame, same = tables.varying(tables.short_table(result, brief=True))
+    frame, same = tables.drop_constant_columns(tables.short_table(result, brief=True))
     left_out = show_table(frame, result.plan.name, brief=True)
     if same:
         say(same)
@@ -54,7 +54,7 @@ def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False) -> 
     those of `_LEADING` too if they would take more than half of the screen.
     """
     console = Screen()
-    texts = [[tables.shown(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
+    texts = [[tables.format_value(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
     names = [str(name) for name in frame.columns]
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     leading = [name in _LEADING for name in names]

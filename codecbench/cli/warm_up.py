@@ -62,7 +62,7 @@ def _compile(wanted: WarmUp, workers: int | None) -> None:
                     executor.submit(task)
                 status.update(wanted.progress)
                 finished = executor.next_finished(0.2)
-                if finished is not None and wanted.took(finished):
+                if finished is not None and wanted.finish(finished):
                     outcome = "compiled" if finished.status == "ok" else f"not compiled ({finished.reason})"
                     click.echo(f"{outcome}: {finished.task_id}")
     finally:

@@ -15,8 +15,7 @@ from codecbench.core.analysis.ranking import Ranked, Ranking, rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import DatasetError, ParamsError
 from codecbench.core.contracts.evaluator import CodedSequence
-from codecbench.core.engine.bundling.packing import write_bundle
-from codecbench.core.engine.bundling.unpacking import folder_beside, unpack_bundle
+from codecbench.core.engine.bundling.packing import folder_beside, unpack_bundle, write_bundle
 from codecbench.core.engine.hosting.host import limit_s
 from codecbench.core.engine.planning.matrix import matrix_from, read_matrix
 from codecbench.core.engine.planning.model import PluginSetting
@@ -30,9 +29,9 @@ from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.report.answers import Answers, answers
-from codecbench.core.report.formatting import uninformative
+from codecbench.core.report.formatting import uninformative_notes
 from codecbench.core.report.page import write_report
-from codecbench.core.report.tables import notes, short_table, shown
+from codecbench.core.report.tables import format_value, notes, short_table
 from codecbench.core.rounds.running import run_matrix
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ class Run(RunResult):
 
     def _repr_html_(self) -> str:
         """Return the primary metrics as a table with notes, for notebooks."""
-        table = short_table(self).to_html(index=False, na_rep="–", float_format=shown)
+        table = short_table(self).to_html(index=False, na_rep="–", float_format=format_value)
         return "\n".join([str(table), *(f"<p>{escape(note)}</p>" for note in notes(self))])
 
     def plot(self, what: str = "", sequence: str | None = None) -> Figure:
@@ -88,7 +87,7 @@ class Run(RunResult):
         for ranking in ranked_at_rate:
             if ranking.ranked:
                 return ranking.recommended
-        reasons = [reason for ranking in ranked_at_rate for reason in uninformative(ranking)]
+        reasons = [reason for ranking in ranked_at_rate for reason in uninformative_notes(ranking)]
         reason = reasons[0] if reasons else "no two codecs have settings around it"
         raise ParamsError(f"nothing can be ranked at that rate: {reason}")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from codecbench.core.analysis.ranking import rankings_on
 from codecbench.core.report.formatting import less_rate
-from codecbench.core.report.tables import escaped
+from codecbench.core.report.tables import escape
 from codecbench.paper.measured import Measured, paper_table
 
 
@@ -48,7 +48,7 @@ def _slightly(measured: Measured) -> list[str]:
     if any(np.isnan(value) for value in totals.values()):
         return []
     ratios = [totals["multilevel", way] / totals["jpeg_qf", way] for way in ("encode", "decode")]
-    origin = f"Counted in the kernels at QF 5 on {escaped(sequence)}"
+    origin = f"Counted in the kernels at QF 5 on {escape(sequence)}"
     return [f"{origin}: multi-level / JPEG is {ratios[0]:.2f} encoding, {ratios[1]:.2f} decoding"]
 
 
@@ -73,7 +73,7 @@ def _header(measured: Measured) -> list[str]:
             sizes = [measured.size_kib(sequence, setting) for setting in (with_header, without)]
             if not np.isnan(sizes).any():
                 lines.append(
-                    f"QF {qf:g} on {escaped(sequence)}: {sizes[0]:.1f} KiB with the table of tuples, "
+                    f"QF {qf:g} on {escape(sequence)}: {sizes[0]:.1f} KiB with the table of tuples, "
                     f"{sizes[1]:.1f} KiB without"
                 )
     return lines
@@ -87,7 +87,7 @@ def _levels(measured: Measured) -> list[str]:
             sizes = [measured.size_kib(sequence, setting) for setting in (single, double)]
             if not np.isnan(sizes).any():
                 change = 100 * (sizes[1] / sizes[0] - 1)
-                lines.append(f"QF {qf:g} on {escaped(sequence)}: two levels change the size by {change:+.1f} %")
+                lines.append(f"QF {qf:g} on {escape(sequence)}: two levels change the size by {change:+.1f} %")
     return lines
 
 
@@ -100,7 +100,7 @@ def _ssim(measured: Measured) -> list[str]:
                 for codec in ("jpeg_qf", "multilevel")
             ]
             if not np.isnan(ours).any():
-                lines.append(f"QF {qf:g} on {escaped(sequence)}: JPEG {ours[0]:.4f}, multi-level {ours[1]:.4f}")
+                lines.append(f"QF {qf:g} on {escape(sequence)}: JPEG {ours[0]:.4f}, multi-level {ours[1]:.4f}")
     return lines
 
 
@@ -117,7 +117,7 @@ def _success(measured: Measured) -> list[str]:
                 if np.isnan(value) or measured.value(sequence, raw, str(column)) == 0.0:
                     continue
                 loops = measured.value(sequence, setting, f"{evaluator}.loops_closed.median")
-                where = f"{escaped(sequence)}{evaluator.removeprefix('trajectory')}"
+                where = f"{escape(sequence)}{evaluator.removeprefix('trajectory')}"
                 lines.append(
                     f"{where}: {100 * value:.0f} % of runs at QF {qf:g} succeed, loops closed {loops:.0f} (median)"
                 )
@@ -145,7 +145,7 @@ def _real_jpeg(measured: Measured) -> list[str]:
     if column is None:
         return []
     return [
-        f"PSNR of gray, {escaped(ranked.curve)} on {escaped(ranking.sequence)}: {less_rate(evidence, escaped(anchor))}"
+        f"PSNR of gray, {escape(ranked.curve)} on {escape(ranking.sequence)}: {less_rate(evidence, escape(anchor))}"
         for ranking in rankings_on(measured.run, column, [[sequence] for sequence in measured.sequences])
         for anchor in ranking.anchors
         for ranked in ranking.ranked

@@ -15,7 +15,7 @@ from codecbench.core.analysis.run_result import RunResult, successes
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.report.figures import draw_all
-from codecbench.core.report.tables import change, escaped, foreign_table
+from codecbench.core.report.tables import change, escape, foreign_table
 from codecbench.paper.contradictions import contradictions
 from codecbench.paper.measured import CITATION, RAW_RMSE, SUCCEEDS_UP_TO, Measured, paper_table
 
@@ -92,7 +92,7 @@ def _provenance(run: RunResult) -> str:
     machines = sorted({str(environment.get("machine", {}).get("cpu")) for environment in run.environments.values()})
     completed = sum(result.status == "ok" for result in run.results)
     unsupported = sum(result.status == "unsupported" for result in run.results)
-    machine = escaped(", ".join(machines)) or "an unknown machine"
+    machine = escape(", ".join(machines)) or "an unknown machine"
     rest = f"{len(run.failed)} failed, {unsupported} unsupported"
     hours = sum(result.duration_s for result in run.results) / 3600
     return (
@@ -116,7 +116,7 @@ def tracking_limits(measured: list[Measured]) -> Iterator[str]:
         tracked = run.tidy[run.tidy["metric"] == "tracked_fraction"].groupby("sequence", observed=True)["value"].max()
         untracked = [str(name) for name, most in tracked.items() if most == 0.0]
         if untracked:
-            yield f"Too short for a first map, with every codec and with raw frames: {escaped(', '.join(untracked))}.\n"
+            yield f"Too short for a first map, with every codec and with raw frames: {escape(', '.join(untracked))}.\n"
         for columns in successes(run):
             rows = [
                 [sequence, curve, *_limit(limit), _paper(curve)]
@@ -124,7 +124,7 @@ def tracking_limits(measured: list[Measured]) -> Iterator[str]:
                 if sequence not in (POOLED, *untracked)
             ]
             if rows:
-                yield f"### {run.plan.name}, {escaped(columns[0].evaluator.title)}\n"
+                yield f"### {run.plan.name}, {escape(columns[0].evaluator.title)}\n"
                 heads = ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "below it", "in the paper"]
                 yield foreign_table(heads, rows)
 
@@ -158,7 +158,7 @@ def _trajectories(measured: list[Measured]) -> Iterator[str]:
                     rate = float(row.get("quality.rate_bpp.mean", np.nan))
                     rows.append([row["sequence"], row["codec"], row["setting"], rate, values[0], interval, *values[1:]])
             if rows:
-                yield f"### Trajectories of {run.plan.name}, {escaped(evaluator)}\n"
+                yield f"### Trajectories of {run.plan.name}, {escape(evaluator)}\n"
                 yield foreign_table(["sequence", "codec", "setting", "bpp", *heads], rows)
     yield f"The paper gives {RAW_RMSE} for raw frames, without a unit, over the whole sequence with its loop.\n"
 

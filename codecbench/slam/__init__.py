@@ -1,4 +1,4 @@
-"""Monocular ORB-SLAM that stands alone: images and a camera in, trajectory and map out.
+"""Stand-alone monocular ORB-SLAM: images and a camera in, trajectory and map out.
 
     from codecbench.slam import Camera, System
 
@@ -7,9 +7,9 @@
         system.process(image, timestamp_s)
     result = system.finish()
 
-`image` is gray (height, width) or RGB (height, width, 3), uint8. Same frames and seed, same result to the
-last bit. Nothing here knows codecs or ground truth. The names below are loaded when they are first used: who needs one
-kernel does not wait for the rest.
+`image` is gray (height, width) or RGB (height, width, 3), uint8. The same frames and seed give the same result to the
+last bit. The package uses neither codecs nor ground truth. Each name below is imported on first use, so that a caller
+of one kernel does not load the rest.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from codecbench.slam.result import ClosedLoop, FrameState, FrameTrajectory, MapResult, MergedMaps, Result
     from codecbench.slam.system import System
 
-_HOMES = {
+_MODULES = {
     "Camera": "geometry.camera",
     "ClosedLoop": "result",
     "FrameState": "result",
@@ -49,8 +49,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'codecbench.slam' has no attribute {name!r}")
-    value = getattr(import_module(f"codecbench.slam.{_HOMES[name]}"), name)
+    value = getattr(import_module(f"codecbench.slam.{_MODULES[name]}"), name)
     globals()[name] = value
     return value

@@ -1,4 +1,4 @@
-"""What a caller may choose: the thresholds of thresholds.py are not choices."""
+"""Settings that a caller may choose; thresholds.py holds the fixed ones."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Options:
-    """Settings of a run.
-
-    `features`: ORB features kept in a frame (100..10000); `levels`: pyramid levels (1..16); `scale_factor`: between two
-    levels (above 1, to 2); `loop_closing`: look for loops, and for maps of one place to merge;
-    `final_bundle_adjustment`: adjust each map once more in `System.finish`. Raises ValueError when a value is out of
-    range.
-    """
+    """Settings of a run. Raises ValueError if a value is out of range."""
 
     features: int = 1000
+    """Most ORB features in a frame, 100 to 10,000."""
     levels: int = 8
+    """Pyramid levels, 1 to 16."""
     scale_factor: float = 1.2
+    """Ratio of two pyramid levels, above 1 and up to 2."""
     loop_closing: bool = True
+    """Whether to close loops and to merge maps of one place."""
     final_bundle_adjustment: bool = True
+    """Whether `System.finish` adjusts each map once more."""
 
     def __post_init__(self) -> None:
         if not 100 <= self.features <= 10000:

@@ -13,9 +13,8 @@ from codecbench.core.contracts.errors import MatrixError, ParamsError
 from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix, matrix_from, read_matrix
-from codecbench.core.engine.planning.objective import metrics_of
-from codecbench.core.engine.planning.until import repeats_of
-from codecbench.core.engine.planning.yaml_file import written
+from codecbench.core.engine.planning.objective import metrics_of, repeats_of
+from codecbench.core.engine.planning.yaml_file import yaml_text
 from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.rounds import running
 from codecbench.core.simulation.settings import LinkSettings
@@ -99,7 +98,7 @@ def link_matrix(source: Path | Mapping[str, Any], demand: Demand, registry: Regi
     root["evaluators"].extend(added_items)
     simulates = not over_link and demand.device_factor is not None
     try:
-        made = matrix_from(written(root), registry, folder) if added_items else given
+        made = matrix_from(yaml_text(root), registry, folder) if added_items else given
     except MatrixError as error:
         names = ", ".join(item["use"] for item in added_items)
         message = (
@@ -110,7 +109,7 @@ def link_matrix(source: Path | Mapping[str, Any], demand: Demand, registry: Regi
     decided = None if made.until or demand.error_m is None else _decision(made, demand)
     if decided is not None:
         root["run"] = {**(root.get("run") or {}), "until": {"decided": decided}}
-        made = matrix_from(written(root), registry, folder)
+        made = matrix_from(yaml_text(root), registry, folder)
         added.append(f"repeats are added until {decided['metric']} is known to be at most {demand.error_m:g} m or not")
     made = replace(made, name=given.name)
     return LinkMatrix(made, replace(demand, device_factor=None) if simulates else demand, tuple(added))

@@ -206,7 +206,7 @@ class _Draft:
             for title in titles
             if place == 0 or title == "quality" or (title in repeated and title != "timing")
         }
-        return make_plan(matrix, self.registry, extent=PlanScope(repeats), sequences=[entry])
+        return make_plan(matrix, self.registry, scope=PlanScope(repeats), sequences=[entry])
 
     @cached_property
     def seconds(self) -> float:

@@ -30,7 +30,7 @@ from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.answers import Answer, Answers, answers
 from codecbench.core.report.costs import coding_ms, rate_cell
 from codecbench.core.report.formatting import signed_percent
-from codecbench.core.report.picks import measured
+from codecbench.core.report.picks import measured_values
 from codecbench.core.report.tables import cell, table
 from codecbench.paper.measured import Measured
 from codecbench.paper.page import contradiction_list, deviations, tracking_limits
@@ -156,7 +156,7 @@ def _pick(run: RunResult, found: Answers, ranking: Ranking, each: Answer) -> dic
     row |= {"codec": f"`{each.curve}`", "rate vs. JPEG": "–" if evidence is None else signed_percent(evidence)}
     if pick is None:
         return row | {"setting": "none passes" if each.passes is False else "none is known to pass"}
-    seen = measured(pick)
+    seen = measured_values(pick)
     encode_ms, decode_ms = (cell(float(f"{ms:.2g}")) for ms in coding_ms(run, found.on, each.curve, pick))
     return row | {
         "setting": f"`{pick.point}`" if pick.point else "–", "Mbit/s": rate_cell(run, found.on, each.curve, pick)[1],

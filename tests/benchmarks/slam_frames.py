@@ -23,8 +23,7 @@ from codecbench import slam
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.tables import table
-from codecbench.slam.atlas.atlas import Atlas
-from codecbench.slam.atlas.tracked_map import TrackedMap
+from codecbench.slam.atlas import Atlas, TrackedMap
 from codecbench.slam.features import extractor
 from codecbench.slam.mapping.initialization import Initializer
 from codecbench.slam.mapping.mapper import Mapper
@@ -36,17 +35,17 @@ STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
     "features: corners, found and chosen": ((extractor, "find_corners"),),
     "features: orientation, smoothing, descriptors": ((extractor, "describe_corners"),),
     "features: the rest": ((extractor.FeatureExtractor, "extract"),),
-    "tracking: points of the last frame": ((tracker, "search_last"),),
-    "tracking: local map": ((tracker.Tracker, "_local_points"), (tracker, "search_local")),
-    "tracking: pose": ((tracker, "optimize_shown"),),
+    "tracking: points of the last frame": ((tracker, "search_last_frame"),),
+    "tracking: local map": ((tracker.Tracker, "_local_points"), (tracker, "search_local_map")),
+    "tracking: pose": ((tracker, "optimize_matched_pose"),),
     "tracking: the rest": ((tracker.Tracker, "track"), (TrackedMap, "record"), (TrackedMap, "wants_keyframe")),
     "mapping: triangulation": ((Mapper, "_triangulate"),),
     "mapping: fusion": ((Mapper, "_fuse_neighborhood"),),
     "mapping: local bundle adjustment": ((Mapper, "adjust_locally"),),
     "mapping: culling": ((Mapper, "_cull_points"), (Mapper, "_cull_keyframes")),
-    "mapping: the rest": ((Mapper, "insert"), (Mapper, "settle")),
+    "mapping: the rest": ((Mapper, "insert"), (Mapper, "refine_neighborhood")),
     "places: words and index": ((PlaceRecognition, "add"), (PlaceRecognition, "remove")),
-    "places: loops, merging, relocalisation": ((TrackedMap, "close_loop"), (Atlas, "merge"), (Atlas, "find")),
+    "places: loops, merging, relocalisation": ((TrackedMap, "close_loop"), (Atlas, "merge"), (Atlas, "relocalize")),
     "initialisation": ((Initializer, "add"),),
     "everything else": ((slam.System, "process"),),
 }

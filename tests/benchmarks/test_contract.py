@@ -22,12 +22,12 @@ from memory_sequence import MemorySequence, context
 
 from codecbench.core.contracts.evaluator import CodedFrame, Measurement
 from codecbench.core.engine.planning.model import PluginSetting
-from codecbench.core.engine.plugins.registry import own
+from codecbench.core.engine.plugins.registry import own_registry
 from codecbench.core.engine.plugins.serving import keep_memory
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WorkPosition
-from codecbench.core.engine.running.plugins import Plugins
+from codecbench.core.engine.running.workbench import PluginFactory
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile, write_bitstreams
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.evaluators.quality import Quality
@@ -134,7 +134,7 @@ def test_cell(benchmark: Any, sequence: MemorySequence, tmp_path: Path) -> None:
 def test_hosts(benchmark: Any, sequence: MemorySequence, tmp_path: Path) -> None:
     """A JPEG cell whose codec decodes in a host, as those of other distributions do, by the wall clock."""
     keep_memory()  # as workers do
-    plugins, file = Plugins(own()), io.BytesIO()
+    plugins, file = PluginFactory(own_registry()), io.BytesIO()
     params = CODEC.params.model_dump(mode="json")
     hosted = plugins.create(PluginSetting("codec", "jpeg", Jpeg.version, params, distribution="codecbench"), JOB)
     packets = [packet.data for packet in encode_sequence(hosted, sequence, WorkPosition())]

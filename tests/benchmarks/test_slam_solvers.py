@@ -10,10 +10,10 @@ from solver_scenes import INTRINSICS, corridor, disturbed, moved, project
 
 from codecbench.slam.geometry.similarity import estimate_similarity, optimize_similarity
 from codecbench.slam.geometry.transforms import se3_exp, sim3_exp
-from codecbench.slam.optimisation import pose_graph
-from codecbench.slam.optimisation.bundle_adjustment import adjust
-from codecbench.slam.optimisation.pose_optimization import optimize_pose
-from codecbench.slam.places.keyframe_database import KeyframeDatabase
+from codecbench.slam.optimization import pose_graph
+from codecbench.slam.optimization.bundle_adjustment import adjust
+from codecbench.slam.optimization.pose_optimization import optimize_pose
+from codecbench.slam.places.recognition import KeyframeDatabase
 from codecbench.slam.places.vocabulary import Vocabulary
 
 SIZES = {"local": (20, 2_000, 8_000), "loop": (150, 15_000, 90_000), "town": (500, 40_000, 250_000)}

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from solver_scenes import corridor, disturbed
 
-from codecbench.slam.optimisation import bundle_adjustment, bundle_kernels, bundle_schur
+from codecbench.slam.optimization import bundle_adjustment, bundle_kernels, bundle_schur
 
 SIZES = {"local": (20, 2_000, 8_000), "loop": (150, 15_000, 90_000)}
 

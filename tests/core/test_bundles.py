@@ -14,7 +14,7 @@ from codecbench.core.analysis.collect import absent_plugins
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.report.page import write_report
-from codecbench.core.report.tables import exported, short_table
+from codecbench.core.report.tables import export_table, short_table
 
 HARM = "<img src=x onerror=alert(1)>\x1b]0;owned\x07"
 
@@ -59,5 +59,5 @@ def test_text_of_a_strangers_bundle_stays_text(tmp_path: Path) -> None:
     assert page.count("&lt;img src=x onerror=alert(1)&gt;") >= 3  # it is shown, as text
     data = re.search(r'id="data">(.*?)</script>', page, re.DOTALL).group(1)
     assert "<" not in data
-    markdown = exported(short_table(run), "markdown").decode()
+    markdown = export_table(short_table(run), "markdown").decode()
     assert "<img" not in markdown

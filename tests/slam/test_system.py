@@ -18,7 +18,7 @@ from codecbench.core.contracts.image import gray_from_image
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.slam import Camera, Options, Result, System
-from codecbench.slam.atlas.tracked_map import TrackedMap
+from codecbench.slam.atlas import TrackedMap
 from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.mapping.initialization import Initializer
@@ -91,10 +91,10 @@ def test_a_map_that_is_dropped_leaves_no_poses_and_another_one_starts(
     started = [frame.state for frame in run(film).frames].index("tracked")
     dropping = started + 4
 
-    def objection(self: TrackedMap, frame: TrackingFrame) -> str:
+    def rejection_reason(self: TrackedMap, frame: TrackingFrame) -> str:
         return "a false start" if frame.index == dropping else ""
 
-    monkeypatch.setattr(TrackedMap, "objection", objection)
+    monkeypatch.setattr(TrackedMap, "rejection_reason", rejection_reason)
     result = run(film)
     assert [(frame.state, frame.reason) for frame in result.frames[started:dropping]] == [
         ("not_initialized", "a false start")
@@ -207,7 +207,7 @@ def test_no_frame_bears_all_steps_of_a_keyframe(film: list[NDArray[np.uint8]], m
     """It is inserted in its own frame, settled in the next, and its place is looked for in the one after that, or
     before the next keyframe."""
     done: list[tuple[str, int]] = []
-    for name in ("insert", "settle", "close_loop"):
+    for name in ("insert", "refine_neighborhood", "close_loop"):
         monkeypatch.setattr(TrackedMap, name, noted(getattr(TrackedMap, name), name, done))
     system, at = System(CAMERA, Options(features=600), seed=1), []
     for i, image in enumerate(film):
@@ -218,13 +218,13 @@ def test_no_frame_bears_all_steps_of_a_keyframe(film: list[NDArray[np.uint8]], m
             break
     steps = [name for name, _, _ in at]
     inserted = [(keyframe, i) for name, keyframe, i in at if name == "insert"]
-    settled = [(keyframe, i - 1) for name, keyframe, i in at if name == "settle"]
+    settled = [(keyframe, i - 1) for name, keyframe, i in at if name == "refine_neighborhood"]
     assert len(inserted) >= 2
     assert settled == inserted[:-1]
     assert steps[-1] == "insert"
-    assert all(steps[k : k + 3] == ["insert", "settle", "close_loop"] for k in range(0, len(steps) - 1, 3))
+    assert all(steps[k : k + 3] == ["insert", "refine_neighborhood", "close_loop"] for k in range(0, len(steps) - 1, 3))
     result = system.finish()
-    assert [name for name, _ in done[-2:]] == ["settle", "close_loop"]
+    assert [name for name, _ in done[-2:]] == ["refine_neighborhood", "close_loop"]
     assert result.trajectory.frame_indices[-1] == result.keyframe_indices[-1] == at[-1][2]
 
 
@@ -282,11 +282,13 @@ def test_what_may_start_a_map_shows_no_points_of_the_last_one(
     shown, add = [], Initializer.add
 
     def noting(self: Initializer, frame: TrackingFrame, map_index: int) -> Any:
-        shown.append(len(frame.matched))
+        shown.append(len(frame.matched_features))
         return add(self, frame, map_index)
 
     monkeypatch.setattr(Initializer, "add", noting)
-    monkeypatch.setattr(TrackedMap, "objection", lambda self, frame: "a false start" if frame.index == 30 else "")
+    monkeypatch.setattr(
+        TrackedMap, "rejection_reason", lambda self, frame: "a false start" if frame.index == 30 else ""
+    )
     result = run([*film, film[0][:, ::-1]])
     assert [result.frames[index].state for index in (29, 30, STEPS)] == ["not_initialized", "not_initialized", "lost"]
     assert set(shown) == {0}

@@ -16,8 +16,8 @@ from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.plugins.registry import installed
+from codecbench.core.engine.running.progress import RunSummary
 from codecbench.core.engine.running.run import run_plan
-from codecbench.core.engine.running.summary import RunSummary
 from codecbench.core.engine.storage.record import SAMPLES_FILE, Record
 from codecbench.core.engine.storage.samples import table_from_parquet
 from codecbench.core.engine.storage.store import Store

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, features_at
 
-from codecbench.slam.features.uncertainty import pixel_variances
+from codecbench.slam.features.extractor import pixel_variances
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import NONE, Map

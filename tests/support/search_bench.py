@@ -57,7 +57,7 @@ class SearchBench:
         """Round after round until nothing is left to compute; what the searches have found then."""
         matrix, store = self.matrix(text), Store(self.folder / "run")
         growth = Growth(matrix, store.folder, self.registry)
-        plan = growth.planned()
+        plan = growth.first_plan()
         self.rounds = []
         with store.locked():
             for _ in range(most_rounds):

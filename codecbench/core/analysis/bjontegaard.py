@@ -1,8 +1,8 @@
-"""Bjontegaard deltas that say when they mean nothing.
+"""BD-rate, with a reason in place of a number when the curves allow no meaningful one.
 
 Source: G. Bjontegaard, VCEG-M33, 2001 (the idea) and VCEG-AI11, 2008 (limits); interpolation by PCHIP
 (Fritsch and Carlson, doi:10.1137/0717021) as in later practice.
-We deviate in one way: a pair of curves on which the number is not meaningful gets a reason, not a number.
+The reason is our only deviation.
 """
 
 from __future__ import annotations
@@ -14,25 +14,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _LEAST_POINTS: Final = 3
-"""A curve of fewer points is not the shape that the interpolation assumes."""
+"""Points of a curve below which PCHIP has nothing to interpolate sensibly."""
 
 LEAST_OVERLAP: Final = 0.25
-"""Share of the shorter curve's quality range that both must cover; below it the ends decide everything."""
+"""Share of the smaller quality range that both curves must cover; below it the ends decide everything."""
 
 
 @dataclass(frozen=True)
 class BdRate:
-    """How much more rate a test codec needs than an anchor for the same quality, on average.
-
-    percent: negative where the test codec is better; NaN where `reason` says why there is none. overlap:
-    share of the smaller quality range that both curves cover. failures: settings that gave no quality at all, (anchor,
-    test).
-    """
+    """How much more rate a test codec needs than an anchor for the same quality, on average."""
 
     percent: float
+    """Negative if the test codec is better; NaN if there is a `reason`."""
     overlap: float
+    """Share of the smaller quality range that both curves cover."""
     reason: str = ""
+    """Why there is no BD-rate."""
     failures: tuple[int, int] = (0, 0)
+    """Settings without any quality, (anchor, test)."""
 
     def __str__(self) -> str:
         return f"no BD-rate: {self.reason}" if self.reason else f"{self.percent:+.1f} %"
@@ -41,11 +40,10 @@ class BdRate:
 def bd_rate(
     anchor_rates: ArrayLike, anchor_qualities: ArrayLike, test_rates: ArrayLike, test_qualities: ArrayLike
 ) -> BdRate:
-    """Average rate difference of two rate-quality curves over the qualities that both reach.
+    """Compute the average rate difference of two rate-quality curves over the qualities that both reach.
 
-    Rates are positive, in any unit; qualities are better when higher (negate or take -log of an error);
-    NaN marks a setting that failed: it is counted, and its curve ends before it. A curve on which more rate buys less
-    quality is refused.
+    Rates are positive, in any unit. Qualities are better when higher (negate an error or take its -log). NaN marks a
+    setting that failed: it is counted, and its curve ends before it. A curve that is not monotone gets a reason.
     """
     curves = [_curve(anchor_rates, anchor_qualities, "anchor"), _curve(test_rates, test_qualities, "test")]
     failures = (curves[0].failures, curves[1].failures)
@@ -54,10 +52,10 @@ def bd_rate(
     with np.errstate(invalid="ignore"):  # of infinite qualities, which are at fault
         spans = [np.ptp(curve.qualities) if len(curve.rates) else 0.0 for curve in curves]
         overlap = max(0.0, float((high - low) / min(spans))) if min(spans) > 0 else 0.0
-    reason = next(filter(None, (curve.fault() for curve in curves)), "") or _poor(overlap, low, high)
+    reason = next(filter(None, (curve.fault() for curve in curves)), "") or _overlap_fault(overlap, low, high)
     if reason:
         return BdRate(float("nan"), overlap, reason, failures)
-    from scipy.interpolate import PchipInterpolator  # loads for half a second
+    from scipy.interpolate import PchipInterpolator  # takes 0.8 s to load
 
     areas = [PchipInterpolator(c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
     anchor, test = (float(area(high) - area(low)) for area in areas)
@@ -70,12 +68,13 @@ class _Curve:
     """Points in order of rate, without the failed ones."""
 
     side: str
+    """`anchor` or `test`."""
     rates: NDArray[np.float64]
     qualities: NDArray[np.float64]
     failures: int
 
     def fault(self) -> str:
-        """Why no curve can be drawn through these points, or nothing."""
+        """Say why these points give no curve; empty if they give one."""
         if np.isnan(self.rates).any():
             return f"the {self.side} curve has a setting whose rate is not known"
         if not (np.isfinite(self.qualities).all() and np.isfinite(self.rates).all()):
@@ -105,7 +104,8 @@ def _curve(rates: ArrayLike, qualities: ArrayLike, side: str) -> _Curve:
     return _Curve(side, x[order], y[order], int(failed.sum()))
 
 
-def _poor(overlap: float, low: float, high: float) -> str:
+def _overlap_fault(overlap: float, low: float, high: float) -> str:
+    """Say why the curves overlap too little; empty if they overlap enough."""
     if high <= low:
         return f"the curves share no quality: one ends at {high:g}, the other begins at {low:g}"
     if overlap < LEAST_OVERLAP:

@@ -1,4 +1,4 @@
-"""Settings over a link, judged by what is asked of them: frames in time, and a reader that errs little by them."""
+"""Judges settings over a link by frames before the deadline and by the error of a reader (SLAM, for example)."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from codecbench.core.analysis.limits import POOLED, pooled_rates
 from codecbench.core.analysis.passing import Passing, Standing
 from codecbench.core.analysis.run_result import CurvePoint, Key, RunResult
 from codecbench.core.analysis.table import CellResult
+from codecbench.core.analysis.verdicts import median
 from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.engine.planning.model import PluginSetting
@@ -23,48 +24,54 @@ from codecbench.core.simulation.settings import LinkSettings
 TOO_OLD: Final = "older than the deadline"
 
 FRESH_SHARE: Final = 0.5
-"""Of the moments: so many at least need a fresh pose, or it is no tracking."""
+"""Minimum share of capture times with a fresh pose; below it the reader does not track."""
 
 _ROUNDING: Final = 1e-9
-"""Relative differences up to this are none."""
+"""Relative difference up to which values are equal."""
 
 Shortfall = Literal["time", "failed", "fresh", "error", "idle", "unmeasured", "runs"]
-"""What keeps a setting from passing: too few frames in time, runs that failed, too few fresh poses, an error that is
-larger than asked or no smaller than with nothing received, what was not measured, too few runs."""
+"""What keeps a setting from passing.
 
-UNTOLD: Final = "the error with nothing received"
-"""What records lack, with the share of fresh poses, that were made before it was measured."""
+time: too few frames before the deadline. failed: runs that failed. fresh: too few fresh poses. error: an error larger
+than asked. idle: an error no smaller than with nothing received. unmeasured: no value. runs: too few runs."""
+
+IDLE_ERROR: Final = "the error with nothing received"
+"""What old records do not have; they lack the share of fresh poses too."""
 
 
 class NotMeasured(CodecbenchError):
-    """A run lacks what is asked of it: a link, a reader, or the times of encoding."""
+    """A run lacks what a demand needs: a link, a reader, or the times of encoding."""
 
 
 @dataclass(frozen=True)
 class Demand:
-    """What is asked: over which link, in how many of the frames at least (share) no older than deadline_ms, with an
-    error of at most error_m. What is None is not asked. device_factor: how many times slower the device is than the
-    machine that timed encoding, which makes each frame as much older; None where encoding takes no time."""
+    """The requirements on a setting over a link; None asks for nothing."""
 
     link: str
     deadline_ms: float | None = None
+    """Greatest age of a frame on arrival."""
     error_m: float | None = None
+    """Greatest error of the reader."""
     share: float = 0.95
+    """Minimum share of frames before the deadline."""
     device_factor: float | None = None
+    """How many times slower the device encodes than the machine that timed it; None if encoding takes no time."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What a reader made of a run: its error, that with nothing received, and the share of the moments at which it had
-    a fresh pose; NaN where not measured. is_done: whether the run ended with a result."""
+    """What a reader made of the frames of a run; NaN for what was not measured."""
 
     error_m: float
     idle_m: float
+    """The error with nothing received."""
     fresh: float
+    """Share of the capture times with a fresh pose."""
     is_done: bool
+    """Whether the run ended with a result."""
 
     def shortfall(self, demand: Demand) -> Shortfall | None:
-        """The first thing that is known to be missing for a success."""
+        """Return the first known reason against a success; None if there is none."""
         if not self.is_done:
             return "failed"
         if self.fresh < FRESH_SHARE:
@@ -76,29 +83,32 @@ class Reading:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A codec setting over a link, on a sequence or on all (POOLED).
-
-    way: what tells its transport and so on from others of the run. rate: of the table; NaN where not known. timely,
-    useful: how many runs had enough frames in time, and in how many a reader was a success; None where not measured or
-    asked. share: of frames in time. causes: shares of the frames that were not in time, by label, largest first.
-    readings: of each run. error_m, idle_m, fresh: their medians.
-    """
+    """A codec setting over a link, on a sequence or on all (POOLED)."""
 
     sequence: str
     curve: str
     point: str
     way: str
+    """The link parameters that differ within the run, such as the transport, in words."""
     rate: float
+    """As in the table; NaN if unknown."""
     demand: Demand
     timely: Standing | None
+    """How many runs had enough frames before the deadline; None if not measured or not asked."""
     share: float
+    """Share of frames before the deadline."""
     causes: dict[str, float]
+    """Shares of the frames that missed the deadline, by the label of the cause, largest first."""
     useful: Standing | None
+    """In how many runs the reader succeeded; None if not measured."""
     readings: tuple[Reading, ...]
+    """One a run."""
     error_m: float
+    """Median over the readings, as idle_m and fresh."""
     idle_m: float
     fresh: float
     unmeasured: tuple[str, ...]
+    """Labels of what was asked and not measured."""
 
     @property
     def name(self) -> str:
@@ -110,7 +120,7 @@ class Candidate:
 
     @property
     def verdict(self) -> Passing:
-        """`fails` where one demand does, `passes` where all do."""
+        """`fails` if one standing does, `passes` if all do."""
         verdicts = {standing.verdict for standing in self.standings}
         if "fails" in verdicts:
             return "fails"
@@ -118,12 +128,12 @@ class Candidate:
 
     @property
     def limit(self) -> Shortfall | None:
-        """What keeps it from passing most often; None where it passes."""
+        """The commonest obstacle to passing; None if the setting passes."""
         if self.verdict == "passes":
             return None
         if self.verdict == "inconclusive" and self.unmeasured:
             return "unmeasured"
-        short = Counter(found for reading in self.readings if (found := reading.shortfall(self.demand)))
+        short = Counter(shortfall for reading in self.readings if (shortfall := reading.shortfall(self.demand)))
         common: Shortfall = short.most_common(1)[0][0] if short else "runs"
         reasons: tuple[tuple[Standing | None, Shortfall], ...] = ((self.timely, "time"), (self.useful, common))
         for standing, reason in reasons:
@@ -133,33 +143,28 @@ class Candidate:
 
     @property
     def more_runs(self) -> int:
-        """How many more would tell, if all ended as most have."""
+        """How many more runs would decide, if all ended as most have."""
         return max((standing.more_runs for standing in self.standings), default=0)
 
     @property
     def least_sure(self) -> Standing:
-        """Of a setting that passes, the standing that says least."""
+        """The standing with the lowest bound on its success rate."""
         return min(self.standings, key=lambda standing: standing.interval[0])
 
 
-def median(values: Iterable[float]) -> float:
-    """Of those that are known; NaN where none is."""
-    known = [value for value in values if not math.isnan(value)]
-    return float(np.median(known)) if known else math.nan
-
-
 _Way = tuple[tuple[str, str], ...]
+"""Link parameters by name, as JSON."""
 _Setting = tuple[str, str, str, _Way]
 """Sequence, codec, label, and way."""
 _Run = tuple[tuple[float, dict[str, float]] | None, Reading | None]
-"""The share of the frames in time with the causes of the others, and what a reader made of it, as far as measured."""
+"""The share of frames before the deadline with the causes of the others, and the reading, as far as measured."""
 
 
 def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
-    """Every setting that was measured over the link, in order of rate; with several sequences those of all come first.
+    """Judge every setting that was measured over the link, in order of rate; those over all sequences come first.
 
-    Raises NotMeasured where none was, where frames in time are not asked and nothing reads them, and where times of
-    encoding are asked that the run does not have.
+    Raises NotMeasured if nothing was measured over the link, if the demand has no deadline and the run no reader, or if
+    the demand needs encoding times that the run lacks.
     """
     run = run.as_calibrated
     over_link = [result for result in run.results if demand.link in _links(result.cell.evaluator)]
@@ -169,26 +174,26 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
             "as device_factor of the matrix says; leave the factor away here"
         )
     encode_ms = _encode_ms(run, demand)
-    found: dict[_Setting, list[_Run]] = defaultdict(list)
+    runs_by_setting: dict[_Setting, list[_Run]] = defaultdict(list)
     for result in over_link:
         if result.status != "unsupported":
             frames = _frames(result, demand, encode_ms.get(result.row, 0.0))
-            found[*result.row, _way(result.cell.evaluator)].append((frames, _reading(result)))
-    if not found:
+            runs_by_setting[*result.row, _way(result.cell.evaluator)].append((frames, _reading(result)))
+    if not runs_by_setting:
         links = links_of(run)
         there = f"it has {', '.join(links)}" if links else "no evaluator of it has a link"
         raise NotMeasured(f"{run.folder}: nothing was measured over link {demand.link!r}; {there}")
-    is_read = demand.link in links_read(run)
+    is_read = demand.link in links_with_readers(run)
     if not is_read and demand.deadline_ms is None:
         raise NotMeasured(f"{run.folder}: no error was measured over {demand.link}; ask for a deadline")
     rates = dict(run.rates)
-    if len({setting[0] for setting in found}) > 1:
-        for (_, *rest), runs in list(found.items()):
-            found[POOLED, rest[0], rest[1], rest[2]] += runs  # type: ignore[index]
+    if len({setting[0] for setting in runs_by_setting}) > 1:
+        for (_, *rest), runs in list(runs_by_setting.items()):
+            runs_by_setting[POOLED, rest[0], rest[1], rest[2]] += runs  # type: ignore[index]
         rates |= pooled_rates(run)
-    words = _words_of_ways({setting[3] for setting in found})
-    judged = [
-        _judged(
+    words = _describe_ways({setting[3] for setting in runs_by_setting})
+    settings = [
+        _candidate(
             run.curves[setting[1:3]],
             setting[0],
             runs,
@@ -197,24 +202,24 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
             demand,
             is_read,
         )
-        for setting, runs in found.items()
+        for setting, runs in runs_by_setting.items()
     ]
-    return sorted(judged, key=_place)
+    return sorted(settings, key=_place)
 
 
 def _place(candidate: Candidate) -> tuple[bool, str, bool, float]:
-    """All sequences together first; a rate that is not known comes last."""
+    """The sort key: all sequences together first, an unknown rate last."""
     return candidate.sequence != POOLED, candidate.sequence, math.isnan(candidate.rate), candidate.rate
 
 
 def links_of(run: RunResult) -> list[str]:
-    """The links over which a run has measured something, in the order of its plan."""
+    """The links over which a run measured something, in the order of its plan."""
     return list(dict.fromkeys(link for result in run.results for link in _links(result.cell.evaluator)))
 
 
-def links_read(run: RunResult) -> list[str]:
-    """Those of them over which something reads the frames, so that its error is known."""
-    read = {link for result in run.results if _with_quantity(result, "error") for link in _links(result.cell.evaluator)}
+def links_with_readers(run: RunResult) -> list[str]:
+    """The links whose frames a reader uses, so that its error is known, in the order of the plan."""
+    read = {link for result in run.results if _metric_with(result, "error") for link in _links(result.cell.evaluator)}
     return [link for link in links_of(run) if link in read]
 
 
@@ -223,13 +228,13 @@ def _links(evaluator: PluginSetting) -> list[str]:
 
 
 def _way(evaluator: PluginSetting) -> _Way:
-    """All about the link but its name: equal for evaluators that look at the same journey."""
+    """The link parameters without the link's name: equal for evaluators that simulate the same transmission."""
     names = [name for name in LinkSettings.model_fields if name in evaluator.params and name != "link"]
     return tuple((name, json.dumps(evaluator.params[name], sort_keys=True)) for name in names)
 
 
-def _words_of_ways(ways: Iterable[_Way]) -> dict[_Way, str]:
-    """What tells each way from the others."""
+def _describe_ways(ways: Iterable[_Way]) -> dict[_Way, str]:
+    """Describe each way by the parameters that differ."""
     values: dict[str, set[str]] = defaultdict(set)
     ways = list(ways)
     for way in ways:
@@ -241,67 +246,70 @@ def _words_of_ways(ways: Iterable[_Way]) -> dict[_Way, str]:
 
 
 def _encode_ms(run: RunResult, demand: Demand) -> dict[Key, float]:
-    """What encoding a picture takes on the device, by row."""
+    """The time of encoding a frame on the device, by row."""
     if demand.device_factor is None:
         return {}
-    found: dict[Key, list[float]] = defaultdict(list)
+    times: dict[Key, list[float]] = defaultdict(list)
     for result in run.results:
-        timed = _with_quantity(result, "encoding")
+        timed = _metric_with(result, "encoding")
         typical = None if timed is None else result.summaries.get((timed.name, "", timed.aggregates[0]))
         if typical is not None:
-            found[result.row].append(typical)
-    if not found:
+            times[result.row].append(typical)
+    if not times:
         raise NotMeasured(f"{run.folder}: no encoding was timed; add an evaluator that does, or leave the factor away")
-    return {row: demand.device_factor * float(np.median(values)) for row, values in found.items()}
+    return {row: demand.device_factor * float(np.median(values)) for row, values in times.items()}
 
 
 def _frames(result: CellResult, demand: Demand, encode_ms: float) -> tuple[float, dict[str, float]] | None:
-    """The share of the frames in time, and the causes of the others. A cell that failed had no frame in time."""
-    delay = _with_quantity(result, "delay")
+    """The share of frames before the deadline, and the causes of the others; a failed cell has a share of 0."""
+    delay = _metric_with(result, "delay")
     if delay is None or demand.deadline_ms is None:
         return None
     share = float((result.values_of_frames(delay.name) + encode_ms <= demand.deadline_ms).mean())
     causes = {
-        result.metrics[found.metric].label: found.value
-        for found in result.measurements
-        if found.metric in result.metrics and result.metrics[found.metric].quantity == "cause"
+        result.metrics[measured.metric].label: measured.value
+        for measured in result.measurements
+        if measured.metric in result.metrics and result.metrics[measured.metric].quantity == "cause"
     }
     return share, {**causes, TOO_OLD: max(0.0, 1.0 - share - sum(causes.values()))}
 
 
 def _reading(result: CellResult) -> Reading | None:
-    if _with_quantity(result, "error") is None:
+    if _metric_with(result, "error") is None:
         return None
     return Reading(_value(result, "error"), _value(result, "idle"), _value(result, "fresh"), result.status == "ok")
 
 
 def _value(result: CellResult, quantity: Quantity) -> float:
-    metric = _with_quantity(result, quantity)
-    values = [found.value for found in result.measurements if metric is not None and found.metric == metric.name]
+    metric = _metric_with(result, quantity)
+    values = [
+        measured.value for measured in result.measurements if metric is not None and measured.metric == metric.name
+    ]
     return values[0] if values else math.nan
 
 
-def _with_quantity(result: CellResult, quantity: Quantity) -> Metric | None:
+def _metric_with(result: CellResult, quantity: Quantity) -> Metric | None:
     return next((metric for metric in result.metrics.values() if metric.quantity == quantity), None)
 
 
-def _judged(
+def _candidate(
     at: CurvePoint, sequence: str, runs: list[_Run], rate: float, way: str, demand: Demand, is_read: bool
 ) -> Candidate:
-    """is_read: whether anything reads frames over the link, by which all settings are judged then."""
+    """Judge the runs of a setting. is_read: whether a reader uses the link's frames, which then judges all settings."""
     shares = [frames[0] for frames, _ in runs if frames is not None]
     causes = [frames[1] for frames, _ in runs if frames is not None]
     readings = tuple(reading for _, reading in runs if reading is not None)
     timely = [share >= demand.share - _ROUNDING for share in shares]
-    # what is not known counts as a success, so that a setting fails only if it does so in any case
+    # an unknown counts as a success, so that a setting fails only if it fails in any case
     useful = [reading.shortfall(demand) is None for reading in readings]
     unsure = [reading for reading in readings if reading.shortfall(demand) is None]
     unmeasured = {
         "frames in time": demand.deadline_ms is not None and not timely,
         "the error": (is_read and not readings) or any(math.isnan(reading.error_m) for reading in unsure),
-        UNTOLD: any(math.isnan(reading.idle_m + reading.fresh) for reading in unsure),
+        IDLE_ERROR: any(math.isnan(reading.idle_m + reading.fresh) for reading in unsure),
     }
-    means = {cause: float(np.mean([each.get(cause, 0.0) for each in causes])) for each in causes for cause in each}
+    labels = [label for causes_of_run in causes for label in causes_of_run]
+    means = {label: float(np.mean([of_run.get(label, 0.0) for of_run in causes])) for label in labels}
     return Candidate(
         sequence, at.curve, at.point, way, rate, demand,
         Standing(at.point, rate, sum(timely), len(timely)) if timely else None,

@@ -1,11 +1,10 @@
-"""Better, worse, same, or cannot tell.
+"""Compares two runs series by series: better, worse, same, changed, or cannot tell.
 
-Values that repeat (sizes, quality, operation counts) are compared exactly. Those that do not are divided by the
-yardstick that their metric names, which takes the machine's own ups and downs out, and tested over repeats: a change
-counts where the Mann-Whitney test over repeats finds it beyond chance and the median moved by more than a
-tolerance. Source of the test: Mann and Whitney 1947, doi:10.1214/aoms/1177730491, exact distribution. Time by the
-clock on the wall also holds what other programs took, for a whole run at a time, which no test within that run can see:
-its verdict stands only where the metric that it names as its confirmation, processor time, moved the same way.
+Repeatable values (sizes, quality, operation counts) are compared exactly. Times are divided by the yardstick that
+their metric names, which removes the machine's fluctuation, and tested over repeats. A change of times counts if the
+exact Mann-Whitney test is significant (Mann and Whitney 1947, doi:10.1214/aoms/1177730491) and the median moved by more
+than a tolerance. Other programs can lengthen wall-clock time for a whole run, unseen by a test within that run. So its
+verdict stands only if its confirming metric, processor time, moved the same way.
 """
 
 from __future__ import annotations
@@ -37,13 +36,13 @@ Key = tuple[str, str, str, str, str]
 """Sequence, codec, setting, evaluator, metric."""
 
 SIGNIFICANCE: Final = 0.01
-"""Two-sided; five repeats against five can reach 0.008."""
+"""Two-sided level; five repeats against five can reach 0.008."""
 
 TIME_TOLERANCE: Final = 0.05
 """Relative change of a median time up to which it counts as unchanged."""
 
 LEAST_CHANGE_MS: Final = 0.01
-"""Milliseconds by which a median time must move: less depends on where the memory of a process happens to lie."""
+"""Milliseconds by which a median time must move; less depends on the memory layout of the process."""
 
 LEAST_REPEATS: Final = 5
 _MILLISECONDS: Final = "ms"
@@ -51,19 +50,22 @@ _MILLISECONDS: Final = "ms"
 
 @dataclass(frozen=True)
 class Comparison:
-    """One series before and after. change: relative for times (of_time), absolute otherwise. note: why, or how sure."""
+    """One series before and after."""
 
     key: Key
     before: float
+    """Median over repeats, as `after`."""
     after: float
     change: float
+    """Relative if `of_time`, else absolute."""
     verdict: Verdict
     note: str = ""
+    """The reason of the verdict, or its p-value."""
     of_time: bool = False
 
     @property
     def relative(self) -> float:
-        """The change as a share of the value before; NaN where there is none."""
+        """The change as a share of the value before; NaN if that is 0."""
         if self.of_time:
             return self.change
         return self.change / abs(self.before) if self.before else math.nan
@@ -72,54 +74,54 @@ class Comparison:
 def compare(
     before: Snapshot, after: Snapshot, *, metrics: Iterable[str] = (), time_tolerance: float = TIME_TOLERANCE
 ) -> list[Comparison]:
-    """Every series of either snapshot, matched by sequence, codec setting, evaluator and metric.
+    """Compare every series of either snapshot, matched by sequence, codec setting, evaluator and metric.
 
-    metrics: patterns (`NAME.*`) of `evaluator.metric` to look at; all where none is given.
+    metrics: patterns (`NAME.*`) of `evaluator.metric` to compare; all if there are none.
     """
     patterns = list(metrics)
     first, second = ({series.key: series for series in snapshot.series} for snapshot in (before, after))
     same_machine = bool(before.machines) and set(before.machines) == set(after.machines)
     keys = dict.fromkeys([*first, *second])
 
-    def declared(key: Key, what: Literal["confirmed_by", "in_units_of"]) -> Key:
-        """The series that a series' metric names, by whichever snapshot knows."""
+    def related_key(key: Key, what: Literal["confirmed_by", "in_units_of"]) -> Key:
+        """The key of the series that a series' metric names, from whichever snapshot knows it."""
         known = [getattr(series[key], what) for series in (second, first) if key in series]
         return (*key[:4], next(filter(None, known), ""))
 
-    yardsticks = {unit for key in keys if (unit := declared(key, "in_units_of"))[4]}
+    yardsticks = {unit for key in keys if (unit := related_key(key, "in_units_of"))[4]}
 
-    def judged(key: Key) -> Comparison:
+    def judge(key: Key) -> Comparison:
         old, new = first.get(key), second.get(key)
         if old is None or new is None:
             missing = "not in the first run" if old is None else "not in the second run"
             return Comparison(key, math.nan, math.nan, math.nan, "cannot tell", missing)
-        unit = declared(key, "in_units_of")
-        scaled = [_scaled(series, known.get(unit)) for series, known in ((old, first), (new, second))]
-        return _compared(old, new, scaled[0], scaled[1], same_machine, time_tolerance)
+        unit = related_key(key, "in_units_of")
+        scaled = [_scale(series, known.get(unit)) for series, known in ((old, first), (new, second))]
+        return _compare_series(old, new, scaled[0], scaled[1], same_machine, time_tolerance)
 
-    found = []
+    comparisons = []
     for key in keys:
         name = f"{key[3]}.{key[4]}"
         if key in yardsticks or (patterns and not any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)):
             continue
-        witness = declared(key, "confirmed_by")
-        comparison = judged(key)
+        witness = related_key(key, "confirmed_by")
+        comparison = judge(key)
         if witness in first and witness in second:
-            comparison = _confirmed(comparison, judged(witness))
-        found.append(comparison)
-    return found
+            comparison = _confirm(comparison, judge(witness))
+        comparisons.append(comparison)
+    return comparisons
 
 
-def _confirmed(claim: Comparison, witness: Comparison) -> Comparison:
-    """A change that the metric declared as its witness does not share cannot be told from what other programs took."""
+def _confirm(claim: Comparison, witness: Comparison) -> Comparison:
+    """Withdraw the verdict on a change that the confirming metric does not share: other programs may have caused it."""
     if claim.verdict not in ("better", "worse") or claim.verdict == witness.verdict:
         return claim
     note = f"{witness.key[4]}: {witness.verdict} ({witness.change:+.1%}); other programs may have taken the rest"
     return replace(claim, verdict="cannot tell", note=note)
 
 
-def _scaled(series: Series, yardstick: Series | None) -> np.ndarray:
-    """The values in units of the yardstick timed in the same repeats, where there is one and they are times."""
+def _scale(series: Series, yardstick: Series | None) -> np.ndarray:
+    """Divide times by the yardstick timed in the same repeats; other values stay."""
     values = np.array(series.values, dtype=np.float64)
     if series.repeatable or yardstick is None or len(yardstick.values) != len(values):
         return values
@@ -128,7 +130,7 @@ def _scaled(series: Series, yardstick: Series | None) -> np.ndarray:
     return scaled
 
 
-def _compared(
+def _compare_series(
     old: Series, new: Series, before: np.ndarray, after: np.ndarray, same_machine: bool, tolerance: float
 ) -> Comparison:
     shown = (_middle(old.values), _middle(new.values))
@@ -139,11 +141,11 @@ def _compared(
         worse = new if new.status != "ok" else old
         return Comparison(old.key, *shown, math.nan, verdict, f"{worse.status}: {worse.reason}")
     if old.repeatable:
-        return _exact(old, new, shown)
-    return replace(_timed(old, new.unit, before, after, shown, same_machine, tolerance), of_time=True)
+        return _compare_exactly(old, new, shown)
+    return replace(_compare_times(old, new.unit, before, after, shown, same_machine, tolerance), of_time=True)
 
 
-def _exact(old: Series, new: Series, shown: tuple[float, float]) -> Comparison:
+def _compare_exactly(old: Series, new: Series, shown: tuple[float, float]) -> Comparison:
     pairs = list(zip(old.values, new.values, strict=False))
     if len(old.values) == len(new.values) and all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in pairs):
         return Comparison(old.key, *shown, 0.0, "same")
@@ -155,7 +157,7 @@ def _exact(old: Series, new: Series, shown: tuple[float, float]) -> Comparison:
     return Comparison(old.key, *shown, change, "better" if (change > 0) == (old.better == "higher") else "worse")
 
 
-def _timed(
+def _compare_times(
     old: Series, new_unit: str, before: np.ndarray, after: np.ndarray, shown: tuple[float, float], same_machine: bool,
     tolerance: float,
 ) -> Comparison:  # fmt: skip
@@ -168,7 +170,7 @@ def _timed(
     change = float(np.median(after) / np.median(before) - 1.0)
     if few < LEAST_REPEATS:
         return Comparison(old.key, *shown, change, "cannot tell", f"{few} repeats; at least {LEAST_REPEATS} are needed")
-    from scipy.stats import mannwhitneyu  # loads for half a second, and few runs repeat their times
+    from scipy.stats import mannwhitneyu  # takes 1.5 s to load, and few runs repeat times
 
     chance = float(mannwhitneyu(before, after, method="exact").pvalue)
     note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"
@@ -193,12 +195,7 @@ FORMAT: Final = 1
 
 @dataclass(frozen=True)
 class Series:
-    """One metric of one sequence, codec setting and evaluator: a value for each repeat, in order.
-
-    Per-frame metrics are aggregated by the first aggregate that the metric declares. status and reason: of the
-    first repeat that is not `ok`. fingerprint: of the sequence. repeatable: equal code gives equal values. unit,
-    confirmed_by, in_units_of: as the metric declares; empty in baseline files of earlier versions.
-    """
+    """One metric of one sequence, codec setting and evaluator: a value for each repeat, in order."""
 
     sequence: str
     codec: str
@@ -207,11 +204,16 @@ class Series:
     metric: str
     better: str
     repeatable: bool
+    """Whether equal code gives equal values."""
     values: tuple[float, ...]
+    """Of per-frame metrics the first declared aggregate over frames."""
     status: str
+    """Of the first repeat that is not `ok`, as the reason."""
     reason: str
     fingerprint: str
+    """Of the sequence."""
     unit: str = ""
+    """As declared, as the next two; empty in baseline files of earlier versions."""
     confirmed_by: str = ""
     in_units_of: str = ""
 
@@ -222,7 +224,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All series of a run and the machines that made them."""
+    """All series of a run and the machines that computed them."""
 
     name: str
     machines: tuple[str, ...]
@@ -234,7 +236,7 @@ _SNAPSHOT: Final = TypeAdapter(Snapshot)
 
 
 def snapshot_of(run: RunResult) -> Snapshot:
-    """The series of a run. A metric of a part (`encode.dct`) is a series of its own."""
+    """The series of a run; a metric of a part (`encode.dct`) is a series of its own."""
     cells: dict[tuple[str, str, str, str], list[CellResult]] = defaultdict(list)
     for result in run.results:
         cell = result.cell
@@ -258,12 +260,12 @@ def _series(members: list[CellResult]) -> list[Series]:
             values[name].append(measured.value)
     if not values:
         values["status"] = []
-    found = []
+    series = []
     for name, numbers in values.items():
         metric_name, _, stage = name.partition(".")
         metric = metrics.get(metric_name) or Metric(metric_name, "", "neither", "")
         confirmed_by = f"{metric.confirmed_by}.{stage}" if metric.confirmed_by and stage else metric.confirmed_by
-        found.append(
+        series.append(
             Series(
                 cell.sequence.name, cell.codec.name, cell.codec.label, cell.evaluator.title, name,
                 metric.better, metric.repeatable, tuple(numbers),
@@ -271,7 +273,7 @@ def _series(members: list[CellResult]) -> list[Series]:
                 metric.unit, confirmed_by, metric.in_units_of,
             )
         )  # fmt: skip
-    return found
+    return series
 
 
 def _machine(environment: dict[str, Any]) -> str:
@@ -280,7 +282,7 @@ def _machine(environment: dict[str, Any]) -> str:
 
 
 def write_snapshot(snapshot: Snapshot, path: Path) -> None:
-    """Keep a snapshot as JSON, one line a series, so that version control shows what changed."""
+    """Write a snapshot as JSON, one line a series, so that version control shows changes."""
     lines = [
         json.dumps({**asdict(series), "values": [json_value(value) for value in series.values]})
         for series in snapshot.series
@@ -290,7 +292,7 @@ def write_snapshot(snapshot: Snapshot, path: Path) -> None:
 
 
 def read_snapshot(path: Path) -> Snapshot:
-    """The snapshot in a file, or of the run in a folder. Raises StoreError for anything else."""
+    """Read the snapshot in a file, or of the run in a folder. Raises StoreError for anything else."""
     if path.is_dir():
         return snapshot_of(open_run(path))
     try:

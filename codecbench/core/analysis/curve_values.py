@@ -1,4 +1,4 @@
-"""What the settings of each curve gave at the same frames or repeats of a sequence."""
+"""Rates and qualities of each curve's settings at the same frames or repeats of a sequence."""
 
 from __future__ import annotations
 
@@ -13,41 +13,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.core.analysis.bjontegaard import LEAST_OVERLAP
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.evidence import Evidence, evidence_of_frames, evidence_of_repeats
-from codecbench.core.analysis.run_result import Key, RunResult
+from codecbench.core.analysis.run_result import Column, Key, RunResult
 from codecbench.core.analysis.table import by_row
 from codecbench.core.analysis.verdicts import as_quality, from_quality, values_of_repeats
 
 Array = NDArray[np.float64]
 Of = Literal["frames", "repeats"]
+"""What the samples are."""
 
 SMALLEST: Final = math.log(1.01)
 """The smallest difference worth knowing, as the log of a rate: 1 %."""
 _SAME_RATE: Final = math.log(1.1)
-"""Up to so far from a rate a setting is recommended for it."""
+"""Distance in log rate up to which a single setting is recommended for a rate."""
 _ROUNDING: Final = 1e-9
 _ALIKE: Final = 0.25
 """Settings of two curves are the same if they are nearer than this share of the least step between settings."""
 _OUT_OF_ORDER: Final = 0.25
-"""Up to such a share of the differences between settings of a codec, by size, more rate may be worse."""
+"""Share of the differences between settings of a codec, by size, in which more rate may be worse."""
 _STEPS: Final = 33
 """Qualities at which two curves are compared."""
 
 
 @dataclass(frozen=True)
 class CurveValues:
-    """The settings of a curve, in order of rate.
-
-    points: (S,) names. rates: (S, U), positive. qualities: (S, U), better when higher, of the same U frames or repeats
-    for every curve; none is missing. missing: how many were, each of which counts as the worst that anybody had. of:
-    frames or repeats.
-    """
+    """The settings of a curve, in order of rate."""
 
     points: tuple[str, ...]
+    """(S,) names."""
     rates: Array
+    """(S, U), positive."""
     qualities: Array
+    """(S, U), better when higher, of the same U frames or repeats for every curve, without missing values."""
     missing: int
+    """How many qualities were missing; each counts as the worst of any setting."""
     of: Of
 
     @cached_property
@@ -57,28 +56,29 @@ class CurveValues:
 
     @cached_property
     def means(self) -> Array:
-        """(S,) mean qualities that never fall with the rate (isotonic regression by pooling adjacent violators)."""
-        from scipy.optimize import isotonic_regression  # loads for half a second
+        """(S,) mean qualities that never fall with the rate (isotonic regression)."""
+        from scipy.optimize import isotonic_regression  # slow to load
 
         return np.asarray(isotonic_regression(self.qualities.mean(axis=1)).x)
 
     @cached_property
     def inverse(self) -> Callable[[Array], Array]:
-        """The log rate at which a quality is reached, monotone between settings (PCHIP, doi:10.1137/0717021)."""
+        """The log rate that reaches a quality, monotone between settings (PCHIP, doi:10.1137/0717021)."""
         return _inverse(self.log_rates, self.means)
 
     @cached_property
-    def without(self) -> list[Callable[[Array], Array]]:
+    def leave_one_out(self) -> list[Callable[[Array], Array]]:
         """(S - 2,) `inverse` without each of the inner settings."""
         inner = range(1, len(self.means) - 1)
         return [_inverse(np.delete(self.log_rates, place), np.delete(self.means, place)) for place in inner]
 
     def gaps(self, qualities: Array) -> Array:
-        """(S - 2,) by how much the mean log rate may be wrong because of the gaps beside each inner setting.
+        """(S - 2,) possible errors of the mean log rate from the gaps beside each inner setting.
 
-        From what it changes without the setting. The area between a bent curve and its chord grows with the cube of a
-        gap, and with the product of both gaps and their sum where one chord spans both; a gap has two such settings,
-        but one at the ends. Infinite for two settings, of which nothing says how the curve bends between them.
+        They are extrapolated from the change without that setting. The area between a bent curve and its chord grows
+        with the cube of a gap; for one chord over two gaps it grows with their product times their sum. A gap
+        neighbors two inner settings, but only one at the ends. For two settings the error is infinite, as nothing shows
+        how the curve bends between them.
         """
         levels = len(np.unique(self.means))
         if levels < 2 or np.isin(qualities, self.means).all():
@@ -86,15 +86,15 @@ class CurveValues:
         if levels == 2:
             return np.array([math.inf])
         whole = self.inverse(qualities)
-        without = [np.mean(inverse(qualities) - whole) for inverse in self.without]
+        changes = [np.mean(inverse(qualities) - whole) for inverse in self.leave_one_out]
         steps = np.diff(self.means)
         steps = np.maximum(steps, _ALIKE * steps.mean())
         cubes = np.r_[2.0, np.ones(len(steps) - 2), 2.0] * steps**3 if len(steps) > 2 else 2.0 * steps**3
         before, after = steps[:-1], steps[1:]
-        return np.asarray(without * (cubes[:-1] + cubes[1:]) / (6.0 * before * after * (before + after)))
+        return np.asarray(changes * (cubes[:-1] + cubes[1:]) / (6.0 * before * after * (before + after)))
 
     @cached_property
-    def moved(self) -> Array:
+    def shifts(self) -> Array:
         """(S, U) by how much each frame or repeat moves the log rate at each setting's quality."""
         levels, places = np.unique(self.means, return_inverse=True)
         slopes = np.gradient(self.inverse(levels), levels) if len(levels) > 1 else np.zeros(1)
@@ -106,14 +106,14 @@ class CurveValues:
         """(U,) by how much each frame or repeat moves the mean log rate at these qualities."""
         levels, places = np.unique(self.means, return_inverse=True)
         weights = np.array([np.interp(qualities, levels, row).mean() for row in np.eye(len(levels))])
-        return np.asarray((weights / np.bincount(places))[places] @ self.moved)
+        return np.asarray((weights / np.bincount(places))[places] @ self.shifts)
 
     def contains(self, rate: float) -> bool:
-        """Whether a rate lies between those of the settings, or is that of one."""
+        """Whether a rate lies within those of the settings."""
         return bool(self.log_rates[0] - _ROUNDING <= np.log(rate) <= self.log_rates[-1] + _ROUNDING)
 
     def settings_at(self, rate: float) -> tuple[str, ...]:
-        """The setting whose rate is this one within a tenth, else the two around it."""
+        """The setting within a tenth of this rate, or else the two around it."""
         distances = np.abs(self.log_rates - np.log(rate))
         nearest = int(np.argmin(distances))
         if distances[nearest] <= _SAME_RATE or len(self.points) == 1:
@@ -122,40 +122,39 @@ class CurveValues:
         return self.points[above - 1], self.points[above]
 
     def mean_at(self, rate: float) -> float:
-        """The mean quality at a rate, between the two settings around it."""
-        means, rates = _distinct(self.means, self.log_rates)
+        """The mean quality at a rate, interpolated between the settings around it."""
+        means, rates = _merge_ties(self.means, self.log_rates)
         if len(rates) == 1:
             return float(means[0])
-        from scipy.interpolate import PchipInterpolator  # loads for half a second
-
-        return float(PchipInterpolator(rates, means)(np.clip(np.log(rate), rates[0], rates[-1])))
+        return float(_interpolator(rates, means)(np.clip(np.log(rate), rates[0], rates[-1])))
 
 
 @dataclass(frozen=True)
 class Difference:
-    """What is known of two curves before frames or repeats are asked how sure it is.
-
-    mean: log of how many times the rate of the first the second takes. changes: (U,), of that mean. alike: (M, U),
-    differences between settings of the two, which vary as the changes do. doubt and at_least: as in `Evidence`.
-    """
+    """The difference in rate of two curves, by frame or repeat."""
 
     mean: float
+    """Log of the second curve's rate over the first's."""
     changes: Array
+    """(U,) the mean as each frame or repeat has it."""
     alike: Array
+    """(M, U) differences between settings of the two, which vary as `changes` does."""
     doubt: float = 0.0
+    """As in `Evidence`."""
     at_least: bool = False
+    """As in `Evidence`."""
 
     def evidence(self, of: Of) -> Evidence:
-        """How sure it is by these frames or repeats."""
-        asked = evidence_of_frames if of == "frames" else evidence_of_repeats
-        return replace(asked(self.changes, self.alike), doubt=self.doubt, at_least=self.at_least)
+        """The mean with its standard error."""
+        estimate = evidence_of_frames if of == "frames" else evidence_of_repeats
+        return replace(estimate(self.changes, self.alike), doubt=self.doubt, at_least=self.at_least)
 
 
 def difference(first: CurveValues, second: CurveValues, at: float | None = None) -> Difference | None:
-    """How much less rate the first takes at equal quality, on average over the qualities that both reach.
+    """Compute how much less rate the first takes at equal quality, on average over the qualities that both reach.
 
-    With `at`, at the quality that the two have at this rate on average. If they share less than a quarter of the
-    qualities of either, by how much at least if one is better at no more rate. None if neither is.
+    at: a rate; then only the quality counts that the two have there on average. If they share less than a quarter of
+    either's qualities, the difference is a bound if one is better at no more rate, else None.
     """
     if at is not None and not (first.contains(at) and second.contains(at)):
         return None
@@ -170,23 +169,23 @@ def difference(first: CurveValues, second: CurveValues, at: float | None = None)
     mean = float(np.mean(second.inverse(qualities) - first.inverse(qualities)))
     changes = second.changes(qualities) - first.changes(qualities)
     apart = np.abs(first.means[:, None] - second.means)
-    nearest = {(one, int(np.argmin(row))) for one, row in enumerate(apart)}
-    nearest |= {(int(np.argmin(column)), other) for other, column in enumerate(apart.T)}
-    alike = np.array([second.moved[other] - first.moved[one] for one, other in sorted(nearest)])
+    nearest = {(i, int(np.argmin(row))) for i, row in enumerate(apart)}
+    nearest |= {(int(np.argmin(column)), j) for j, column in enumerate(apart.T)}
+    alike = np.array([second.shifts[j] - first.shifts[i] for i, j in sorted(nearest)])
     return Difference(mean, mean + changes, alike, _doubt(first, second, qualities))
 
 
 def _doubt(first: CurveValues, second: CurveValues, qualities: Array) -> float:
-    """By how much a mean difference in log rate may be wrong because no setting lies between those there are.
+    """The possible error of a mean difference in log rate from gaps between settings.
 
-    Curves with settings at the same rates or qualities are wrong alike, so that only the difference counts.
+    Curves with settings at the same rates or qualities err alike, so that only the difference counts.
     """
     gaps = first.gaps(qualities), second.gaps(qualities)
-    if any(np.isinf(each).any() for each in gaps):
+    if any(np.isinf(errors).any() for errors in gaps):
         return math.inf
     alike = len(first.points) == len(second.points) > 1 and any(
-        np.abs(own - other).max() <= _ALIKE * min(np.diff(own).min(), np.diff(other).min())
-        for own, other in ((first.log_rates, second.log_rates), (first.means, second.means))
+        np.abs(a - b).max() <= _ALIKE * min(np.diff(a).min(), np.diff(b).min())
+        for a, b in ((first.log_rates, second.log_rates), (first.means, second.means))
     )
     if alike and len(gaps[0]) == len(gaps[1]):
         return float(np.abs(gaps[0] - gaps[1]).sum())
@@ -194,12 +193,12 @@ def _doubt(first: CurveValues, second: CurveValues, qualities: Array) -> float:
 
 
 def _dominance(first: CurveValues, second: CurveValues) -> Difference | None:
-    """The difference of two curves of which one is better at no more rate, whatever the other spends.
+    """Bound the difference of two curves if one is better at no more rate, whatever the other spends.
 
-    Each setting of the other is compared with the dearest of the better curve that costs no more, if there is one; the
-    pair that is least sure decides. The size is by how much less rate the best quality of the other is exceeded as
-    surely. Frames vary as the cube root of their quality does, so that what is better on every frame counts, by however
-    much on each.
+    Each setting of the worse curve is compared with the most expensive one of the better curve that costs no more, if
+    there is one. The least sure of these pairs decides. The size is the rate saved by the cheapest setting that exceeds
+    the worse curve's best quality as surely. Differences count by their cube root, so that being better on every frame
+    counts, by however much on each.
     """
     for better, worse, sign in ((first, second, 1.0), (second, first, -1.0)):
         affordable = np.searchsorted(better.log_rates, worse.log_rates + _ROUNDING, side="right") - 1
@@ -220,26 +219,33 @@ def _dominance(first: CurveValues, second: CurveValues) -> Difference | None:
 
 
 def _inverse(log_rates: Array, means: Array) -> Callable[[Array], Array]:
-    rates, levels = _distinct(log_rates, means)
+    """Interpolate the log rate over the quality."""
+    rates, levels = _merge_ties(log_rates, means)
     if len(levels) == 1:
         return lambda qualities: np.full(len(qualities), rates[0])
-    from scipy.interpolate import PchipInterpolator  # loads for half a second
-
-    curve = PchipInterpolator(levels, rates, extrapolate=True)
+    curve = _interpolator(levels, rates)
     return lambda qualities: np.asarray(curve(np.clip(qualities, levels[0], levels[-1])))
 
 
-def _distinct(values: Array, levels: Array) -> tuple[Array, Array]:
-    """Both in order of the levels, none of them twice: settings of one level count with the mean of their values."""
+def _interpolator(places: Array, values: Array) -> Callable[[Array | float], Array]:
+    """Interpolate values monotonically between places (PCHIP)."""
+    from scipy.interpolate import PchipInterpolator  # takes 0.8 s to load
+
+    interpolator: Callable[[Array | float], Array] = PchipInterpolator(places, values, extrapolate=True)
+    return interpolator
+
+
+def _merge_ties(values: Array, levels: Array) -> tuple[Array, Array]:
+    """Sort both by level, and replace settings of equal level by the mean of their values."""
     distinct, places = np.unique(levels, return_inverse=True)
     return np.bincount(places, values) / np.bincount(places), distinct
 
 
 def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[str, CurveValues], dict[str, str]]:
-    """The curves of a sequence by name, and why others are none.
+    """The curves of a sequence by name, and why others are left out.
 
-    Places that no setting has a value of, such as frames without ground truth, count for nobody. An infinite value
-    counts as the best or the worst that is finite. A setting whose rate is not known is left out of its curve.
+    Frames or repeats at which no setting has a value, such as those without ground truth, are ignored. An infinite
+    value counts as the best or worst finite one. A setting of unknown rate is left out of its curve.
     """
     rows, of = _rows(run, column, sequence)
     measured = {key: values for key, values in rows.items() if run.rates.get(key, np.nan) > 0}
@@ -275,15 +281,15 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
 
 
 def objection(run: RunResult, column: Column, curves: dict[str, CurveValues], left_out: dict[str, str]) -> str:
-    """Why a column is uninformative on a sequence; empty where it is not. curves, left_out: as by `curve_values`.
+    """Say why a column is uninformative on a sequence; empty if it is not. curves, left_out: as by `curve_values`.
 
     The baseline has to be better than the coarsest settings, and finer settings better than coarser ones. Only codecs
-    of several settings say anything of that, and quality, which is measured beside the raw frame, need not show it.
+    of several settings can show that. Quality is exempt, as it is measured against the raw frame.
     """
     if not curves:
         return "no setting has a value" if "no value" in left_out.values() else ""
     baselines = {point.curve for (codec, _), point in run.curves.items() if codec in run.schema.baselines}
-    means = {curve: found.qualities.mean(axis=1) for curve, found in curves.items()}
+    means = {curve: values.qualities.mean(axis=1) for curve, values in curves.items()}
     swept = [mean for curve, mean in means.items() if len(mean) > 1 and curve not in baselines]
     if not swept or column.metric.role == "quality":
         return ""
@@ -302,25 +308,25 @@ def objection(run: RunResult, column: Column, curves: dict[str, CurveValues], le
 
 
 def _rates(run: RunResult, keys: list[Key], judged: NDArray[np.bool_] | None, units: int) -> Array:
-    """(S, U) rates of settings at the judged frames, with each setting's mean rate; the same for all repeats."""
+    """(S, U) rates of settings at the judged frames, scaled to each setting's mean rate; constant over repeats."""
     assert run.rate is not None
     means = np.array([run.rates[key] for key in keys])
     rates = np.repeat(means[:, None], units, axis=1)
     if judged is None:
         return rates
-    cells = {each.row: each for each in run.of(run.rate.evaluator.title)}
+    cells = {result.row: result for result in run.of(run.rate.evaluator.title)}
     for place, key in enumerate(keys):
         if key in cells:
-            own = cells[key].values_of_frames(run.rate.metric.name, run.rate.stage)[judged]
-            if np.isfinite(own).all() and own.mean() > 0:
-                rates[place] = own * (means[place] / own.mean())
+            of_frames = cells[key].values_of_frames(run.rate.metric.name, run.rate.stage)[judged]
+            if np.isfinite(of_frames).all() and of_frames.mean() > 0:
+                rates[place] = of_frames * (means[place] / of_frames.mean())
     return rates
 
 
 def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Array], Of]:
-    """One row of values a setting, NaN where one is missing, and what they are of; of frames means over repeats.
+    """One row of values a setting, with NaN for missing ones, and whether they are of frames (means over repeats).
 
-    Repeats that some setting has not run yet are left out, because they say nothing of it.
+    Repeats that some setting has not run yet are left out.
     """
     results = [
         result
@@ -331,10 +337,12 @@ def _rows(run: RunResult, column: Column, sequence: str) -> tuple[dict[Key, Arra
     ]
     key = (column.metric.name, column.stage, column.aggregate)
     if any(key in result.summaries for result in results):
-        rows = {row: [each.values_of_frames(column.metric.name, column.stage) for each in repeats]
+        rows = {row: [result.values_of_frames(column.metric.name, column.stage) for result in repeats]
                 for row, repeats in by_row(results).items()}  # fmt: skip
         return {row: np.mean(values, axis=0) for row, values in rows.items()}, "frames"
-    found = {row: values for row, values in values_of_repeats(run, column).items() if row[0] == sequence}
-    run_by_all = set.intersection(*({repeat for repeat, _ in values} for values in found.values())) if found else set()
-    places = sorted({place for values in found.values() for place in values if place[0] in run_by_all})
-    return {row: np.array([values.get(place, np.nan) for place in places]) for row, values in found.items()}, "repeats"
+    by_place = {row: values for row, values in values_of_repeats(run, column).items() if row[0] == sequence}
+    repeats_of_rows = [{repeat for repeat, _ in values} for values in by_place.values()]
+    run_by_all = set.intersection(*repeats_of_rows) if repeats_of_rows else set()
+    places = sorted({place for values in by_place.values() for place in values if place[0] in run_by_all})
+    rows_of_repeats = {row: np.array([of.get(place, np.nan) for place in places]) for row, of in by_place.items()}
+    return rows_of_repeats, "repeats"

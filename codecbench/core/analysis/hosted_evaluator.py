@@ -1,4 +1,4 @@
-"""An evaluator of another distribution as results need it: what it declares, compares and draws, asked of its host."""
+"""Runs the comparison and the drawing of another distribution's evaluator in its host process."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from codecbench.core.engine.storage.samples import (
 from codecbench.core.engine.text import clean_line
 
 _MOST_POINTS: Final = 1_000_000
-"""Of one drawing."""
+"""Points of one drawing."""
 
 ResultsEvaluator: TypeAlias = "Evaluator[Any] | HostedEvaluator"
 
 
 class HostedEvaluator:
-    """Has the members of an Evaluator that results use; what it declares is in the plan of its run.
+    """The members of an Evaluator that results use; the plan of its run has its declarations.
 
-    offers: those of its methods that do something.
+    offers: the methods that it overrides.
     """
 
     metrics: tuple[Metric, ...] = ()
@@ -43,13 +43,15 @@ class HostedEvaluator:
         self._registry, self._setting, self._offers = registry, setting, offers
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
-        """What the plugin yields. Raises CodecbenchError where it fails."""
-        rows = self._ask("compare", compared, _plain(outcome), [_plain(other) for other in baseline])
+        """Compare an outcome with the baseline's. Raises CodecbenchError if the plugin fails."""
+        rows = self._call(
+            "compare", compare_on_host, _json_from_outcome(outcome), [_json_from_outcome(other) for other in baseline]
+        )
         return iter([measurement_from_json(row) for row in rows or ()])
 
     def drawing(self, outcome: Outcome) -> Drawing | None:
-        """What the plugin draws of a cell. Raises CodecbenchError where it fails."""
-        answer = self._ask("drawing", drawn, _plain(outcome))
+        """Draw a cell. Raises CodecbenchError if the plugin fails."""
+        answer = self._call("drawing", draw_on_host, _json_from_outcome(outcome))
         if answer is None:
             return None
         lines = (
@@ -60,15 +62,15 @@ class HostedEvaluator:
         timeline = answer["timeline"] and _timeline(answer["timeline"])
         return Drawing(tuple(lines), clean_line(answer["caption"]), answer["holds"], axes, timeline)
 
-    def _ask(self, offer: str, function: Any, *outcomes: Any) -> Any:
+    def _call(self, offer: str, function: Any, *outcomes: Any) -> Any:
         if offer not in self._offers:
             return None
-        asked: tuple[Kind, str] = "evaluator", self._setting.name
-        return self._registry.ask(function, self._setting.name, self._setting.params, *outcomes, of=[asked])
+        plugin: tuple[Kind, str] = "evaluator", self._setting.name
+        return self._registry.ask(function, self._setting.name, self._setting.params, *outcomes, of=[plugin])
 
 
 def _timeline(answer: dict[str, Any]) -> FrameTimeline:
-    """The timeline of a drawing, from JSON types."""
+    """Read the timeline of a drawing from JSON types."""
     positions = answer["positions"]
     return FrameTimeline(
         np.array(answer["frames"], np.int64),
@@ -80,22 +82,24 @@ def _timeline(answer: dict[str, Any]) -> FrameTimeline:
     )
 
 
-def compared(
+def compare_on_host(
     registry: Registry, name: str, params: dict[str, Any], outcome: dict[str, Any], baseline: list[dict[str, Any]]
 ) -> list[list[Any]]:
-    """What an evaluator yields of a cell beside the baseline's, as JSON types."""
+    """Compare a cell with the baseline's, as JSON types, in the host process."""
     evaluator: Evaluator[Any] = registry.create("evaluator", name, params)
-    yielded = evaluator.compare(_outcome(outcome), [_outcome(other) for other in baseline])
+    yielded = evaluator.compare(_outcome_from_json(outcome), [_outcome_from_json(other) for other in baseline])
     try:
-        return [json_from_measurement(found) for found in MeasurementCheck(evaluator, 0).checked(yielded)]
+        return [json_from_measurement(measurement) for measurement in MeasurementCheck(evaluator, 0).check(yielded)]
     except MeasurementError as error:
         raise PluginError(f"compare: {error}") from error
 
 
-def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[str, Any]) -> dict[str, Any] | None:
-    """What an evaluator draws of a cell, as JSON types."""
+def draw_on_host(
+    registry: Registry, name: str, params: dict[str, Any], outcome: dict[str, Any]
+) -> dict[str, Any] | None:
+    """Draw a cell, as JSON types, in the host process."""
     evaluator: Evaluator[Any] = registry.create("evaluator", name, params)
-    drawing = evaluator.drawing(_outcome(outcome))
+    drawing = evaluator.drawing(_outcome_from_json(outcome))
     if drawing is None:
         return None
     in_timeline = 0 if drawing.timeline is None else len(drawing.timeline.frames) * (1 + len(drawing.timeline.rows))
@@ -115,8 +119,8 @@ def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[s
             "frames": timeline.frames.tolist(),
             "positions": None
             if timeline.positions is None
-            else [[_known(value) for value in place] for place in timeline.positions.tolist()],
-            "errors": [_known(value) for value in timeline.errors.tolist()],
+            else [[_none_for_nan(value) for value in place] for place in timeline.positions.tolist()],
+            "errors": [_none_for_nan(value) for value in timeline.errors.tolist()],
             "unit": str(timeline.unit),
             "rows": [(str(row.name), row.tone, row.holds.tolist()) for row in timeline.rows],
             "quantity": str(timeline.quantity),
@@ -124,15 +128,15 @@ def drawn(registry: Registry, name: str, params: dict[str, Any], outcome: dict[s
     }
 
 
-def _known(value: float) -> float | None:
+def _none_for_nan(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _plain(outcome: Outcome) -> dict[str, Any]:
+def _json_from_outcome(outcome: Outcome) -> dict[str, Any]:
     rows = [json_from_measurement(measurement) for measurement in outcome.measurements]
     return {"repeat": outcome.repeat, "measurements": rows, "artifacts": str(outcome.artifacts.absolute())}
 
 
-def _outcome(values: dict[str, Any]) -> Outcome:
+def _outcome_from_json(values: dict[str, Any]) -> Outcome:
     measurements = tuple(measurement_from_json(row) for row in values["measurements"])
     return Outcome(values["repeat"], measurements, Path(values["artifacts"]))

@@ -1,4 +1,4 @@
-"""Whether a setting passes a test: so many runs succeed, or a mean is on the right side of a bound."""
+"""Tests that a setting passes or fails: by the success rate of its runs, or by a mean against a bound."""
 
 from __future__ import annotations
 
@@ -8,24 +8,21 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, Literal
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.evidence import Evidence
+from codecbench.core.analysis.run_result import Column
 from codecbench.core.analysis.verdicts import CONFIDENCE
 
 Passing = Literal["passes", "fails", "inconclusive"]
 
 PASSES_ABOVE: Final = 0.5
-"""A setting passes if more than this share of all runs that there could be would succeed."""
+"""A setting passes if its success rate is above this share, with 95 % confidence."""
 
 _MOST_MORE_RUNS: Final = 1000
 
 
 @dataclass(frozen=True)
 class Standing:
-    """A setting in a sweep: how many of its runs succeeded, and what that says of all that there could be.
-
-    why: the commonest reason of runs that did not succeed. asked: what the others met, in numbers.
-    """
+    """A setting in a sweep, tested by how many of its runs succeeded."""
 
     point: str
     rate: float
@@ -33,17 +30,19 @@ class Standing:
     runs: int
     label: str = field(default="", compare=False)
     why: str = field(default="", compare=False)
-    asked: str = field(default="", compare=False)
+    """The commonest reason of runs that did not succeed."""
+    requirement: str = field(default="", compare=False)
+    """The numbers that successful runs met."""
 
     @cached_property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953); all, of no run."""
+        """95 % confidence interval of the success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953)."""
         if not self.runs:
             return 0.0, 1.0
-        from scipy.stats import binomtest  # loads for half a second, and few runs have a task
+        from scipy.stats import binomtest  # takes 1.5 s to load, and few runs have a task
 
-        found = binomtest(self.successes, self.runs).proportion_ci(method="wilson")
-        return float(found.low), float(found.high)
+        limits = binomtest(self.successes, self.runs).proportion_ci(method="wilson")
+        return float(limits.low), float(limits.high)
 
     @property
     def verdict(self) -> Passing:
@@ -53,7 +52,7 @@ class Standing:
 
     @property
     def more_runs(self) -> int:
-        """How many more runs would tell, if all of them ended as most have; at best, that is."""
+        """How many more runs would decide at best, if all of them ended as most have."""
         successful = self.successes >= PASSES_ABOVE * self.runs
         return next(
             more
@@ -72,10 +71,7 @@ class Standing:
 
 @dataclass(frozen=True)
 class Level:
-    """A setting in a sweep: the mean of a column over frames or repeats, and its distance from a bound.
-
-    margin: what is known of that distance, positive on the right side. why: what keeps it from being judged.
-    """
+    """A setting in a sweep, tested by the mean of a column over frames or repeats against a bound."""
 
     point: str
     rate: float
@@ -83,7 +79,9 @@ class Level:
     value: float
     bound: float
     margin: Evidence
+    """The distance from the bound, positive on the right side."""
     why: str = ""
+    """Why it cannot be judged; empty if it can."""
 
     @property
     def label(self) -> str:
@@ -98,19 +96,19 @@ class Level:
         return "passes" if self.margin.mean > 0.0 else "fails"
 
     def __str__(self) -> str:
-        """`0.914 ± 0.008, ≥ 0.9 asked`, in the unit that people are shown."""
+        """`0.914 ± 0.008, ≥ 0.9 asked`, in the displayed unit."""
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
         few = "" if self.reach < math.inf else ", too few to tell"
         sure = f" ± {self.reach:.2g}" if 0.0 < self.reach < math.inf else ""
-        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}, {self.asked} asked"
+        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}, {self.requirement} asked"
 
     @property
     def reach(self) -> float:
-        """How far the 95 % interval reaches, in the unit that people are shown; infinite if too few to tell."""
+        """Half the width of the 95 % interval, in the displayed unit; infinite for too few samples."""
         return abs(self.column.factor) * self.margin.reach(CONFIDENCE)
 
     @property
-    def asked(self) -> str:
+    def requirement(self) -> str:
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
         sign = "≥" if self.column.better == "higher" else "≤"
         return f"{sign} {self.column.factor * self.bound:.3g}{unit}"
@@ -118,9 +116,10 @@ class Level:
 
 @dataclass(frozen=True)
 class Joint:
-    """A setting in a sweep that has to pass several tests, each by its name: a column, or a sequence of several."""
+    """A setting in a sweep that has to pass several tests."""
 
     tests: Mapping[str, Standing | Level | Joint]
+    """By the name of a column or of a sequence."""
 
     @property
     def first(self) -> Standing | Level | Joint:
@@ -141,29 +140,29 @@ class Joint:
         return "fails" if "fails" in verdicts else "inconclusive" if "inconclusive" in verdicts else "passes"
 
     @property
-    def asked(self) -> str:
-        return "; ".join(f"{name} {test.asked}" for name, test in self.tests.items())
+    def requirement(self) -> str:
+        return "; ".join(f"{name} {test.requirement}" for name, test in self.tests.items())
 
     @property
     def why(self) -> str:
         return ""
 
     def __str__(self) -> str:
-        """The tests that decide: if it does not pass, those that do not."""
-        told = [(name, test) for name, test in self.tests.items() if test.verdict == self.verdict]
-        return "; ".join(f"{name} {described(test)}" for name, test in told)
+        """The tests that decide the verdict, in words."""
+        deciding = [(name, test) for name, test in self.tests.items() if test.verdict == self.verdict]
+        return "; ".join(f"{name} {describe(test)}" for name, test in deciding)
 
 
 Test = Standing | Level | Joint
 
 
-def described(test: Test) -> str:
-    """A test with the reason of what did not succeed: `1/4 runs, at most 70 % at 95 %: ATE 31 mm, over 19.8 mm`."""
+def describe(test: Test) -> str:
+    """Describe a test and its reason: `1/4 runs, at most 70 % at 95 %: ATE 31 mm, over 19.8 mm`."""
     return f"{test}: {test.why}" if test.why else str(test)
 
 
 def parts(test: Test) -> Iterator[Standing | Level]:
-    """The single tests of a setting."""
+    """Yield the single tests of a setting."""
     if isinstance(test, Joint):
         for part in test.tests.values():
             yield from parts(part)

@@ -1,4 +1,4 @@
-"""Codecs in order of the rate at which they serve a task equally well, as far as a run can tell them apart."""
+"""Ranks codecs by the rate that they need for equal quality, with significance tests of all pairs."""
 
 from __future__ import annotations
 
@@ -13,46 +13,47 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference, objection
-from codecbench.core.analysis.evidence import Evidence, combined
+from codecbench.core.analysis.evidence import Evidence, combine
 from codecbench.core.analysis.limits import POOLED
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.run_result import Column, RunResult
 from codecbench.core.analysis.verdicts import anchors_of, from_quality
 
 SIGNIFICANCE: Final = 0.01
-"""Chance that a ranking of codecs that are all alike puts any of them before another."""
+"""Family-wise error rate: the chance that a ranking of equal codecs puts any of them before another."""
 
 _OF_A_BOUND: Final = 1e-3
-"""What a bound weighs in scores: it counts only for codecs that no other pair connects."""
+"""Weight of a bound in scores: it counts only for codecs that no other pair connects."""
 NO_COMMON_RATE: Final = "no common rate to compare at"
-"""Why two codecs that both have a place are not compared with each other."""
+"""Why two ranked codecs are not compared with each other."""
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """A codec's place. first, last: the places that it may have, from those that differ significantly from it.
-
-    ahead_of: the curves that it is significantly better than. missing, values: how many of its values are missing, of
-    how many. score: how much better it is than the others on average, as the log of a rate, by least squares over
-    pairs. settings: by sequence, names in order of rate; all, or in a ranking at one rate the one that has this rate or
-    the two around it. value: the column's mean at that rate, between settings; None in a ranking over all rates.
-    """
+    """A codec's place in a ranking."""
 
     curve: str
     first: int
+    """The best place that it may have, given which codecs are significantly better."""
     last: int
+    """The worst place that it may have, given which codecs are significantly worse."""
     ahead_of: tuple[str, ...]
+    """The curves that it is significantly better than."""
     missing: int
+    """How many of its values are missing."""
     values: int
+    """How many values it should have."""
     score: float
+    """Log of the rate that it saves against the others on average, by least squares over pairs."""
     settings: Mapping[str, tuple[str, ...]]
+    """By sequence, names in order of rate: all, or in a ranking at one rate those at or around it."""
     value: float | None = None
+    """The column's mean at that rate, interpolated between settings; None in a ranking over all rates."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Two neighboring settings of a curve between which more would narrow the interval of a difference."""
+    """Two neighboring settings of a curve; more settings between them would narrow the interval of a difference."""
 
     curve: str
     points: tuple[str, str]
@@ -60,47 +61,52 @@ class Gap:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Codecs by a column on a sequence, or over all of them (POOLED), compared over so many frames or repeats.
-
-    ranked: by value at the rate; over all rates by the rate vs. the first anchor, and where the two share none, by
-    score. left_out: curves without a place, and why. sequences: all that count. anchors: the curves that rates are
-    shown against. rate: at which codecs are compared; None for all rates that they share. pairs: of two curves that
-    share a rate, what is known of the first over the second. rank_correlation: by sequence, Kendall's tau-b of the
-    order there and that of all other sequences together, if both have a significant difference. too_few_on: of several
-    sequences those that have too few frames or repeats to say how sure they are, so that sequences are the samples.
-    gaps: of pairs whose settings are too far apart, so that this doubt is half of their difference or more, the widest
-    gap. disputed: pairs of which each is significantly better on some sequence. uninformative: by sequence, why the
-    column ranks no codec there.
-    """
+    """Codecs ranked by a column on a sequence, or over all of them (POOLED)."""
 
     column: Column
     sequence: str
     units: int
+    """Number of frames or repeats."""
     of: tuple[Of, ...]
+    """What the units are."""
     ranked: tuple[Ranked, ...]
+    """By value at the rate; over all rates by the rate vs. the first anchor, or by score if they share none."""
     left_out: dict[str, str]
+    """Curves without a place, and why."""
     sequences: tuple[str, ...]
+    """Those on which the column is informative."""
     anchors: tuple[str, ...]
+    """The curves that rates are compared with."""
     rate: float | None
+    """The rate at which codecs are compared; None for all rates that they share."""
     pairs: tuple[tuple[str, str, Evidence], ...]
+    """Pairs of curves that share a rate, with the evidence of the first over the second."""
     rank_correlation: dict[str, float]
+    """Leave-one-sequence-out rank agreement: by sequence, Kendall's tau-b of the order there and on all others.
+
+    Without sequences if either order has no significant difference."""
     too_few_on: tuple[str, ...] = ()
+    """Sequences with too few frames or repeats for a standard error, so that sequences are the samples."""
     gaps: Mapping[tuple[str, str], Gap] = field(default_factory=dict)
+    """The widest gap of pairs whose doubt from gaps between settings is half of their difference or more."""
     disputed: tuple[tuple[str, str], ...] = ()
+    """Pairs of which each is significantly better on some sequence."""
     uninformative: Mapping[str, str] = field(default_factory=dict)
+    """By sequence, why the column ranks no codec there."""
 
     @cached_property
     def candidates(self) -> tuple[Ranked, ...]:
-        """The codecs that may be the best, by score; in a circle the one with the highest score.
+        """The codecs that may be the best, by score; if the order is a circle, the one with the highest score.
 
-        The others are ruled out: by multiple comparisons with the best (Hsu 1984, doi:10.1214/aos/1176346732), with
-        Bonferroni's level in place of Dunnett's, as pairs depend on each other in unknown ways, or by `ahead_of`.
+        The others are ruled out by `ahead_of` or by multiple comparisons with the best (Hsu 1984,
+        doi:10.1214/aos/1176346732). These use Bonferroni's level in place of Dunnett's, as pairs depend on each other
+        in unknown ways.
         """
         no_better: dict[str, list[float]] = defaultdict(list)  # one-sided p-values of those that seem better
-        for first, second, found in self.pairs:
-            chance = found.p_beyond(SMALLEST) / 2.0
-            no_better[first].append(chance if found.mean < 0.0 else 1.0)
-            no_better[second].append(chance if found.mean > 0.0 else 1.0)
+        for first, second, evidence in self.pairs:
+            chance = evidence.p_beyond(SMALLEST) / 2.0
+            no_better[first].append(chance if evidence.mean < 0.0 else 1.0)
+            no_better[second].append(chance if evidence.mean > 0.0 else 1.0)
         order = sorted(self.ranked, key=lambda ranked: -ranked.score)
         return tuple(
             ranked for ranked in order
@@ -109,44 +115,44 @@ class Ranking:
 
     @property
     def recommended(self) -> Ranked:
-        """The codec to take: of those that may be the best the highest score.
+        """The codec to take: the highest score of those that may be the best.
 
-        Raises ValueError if no codec is ranked, as the column is uninformative.
+        Raises ValueError if no codec is ranked, as with an uninformative column.
         """
         return max(self.candidates, key=lambda ranked: ranked.score)
 
     @property
     def as_good(self) -> tuple[str, ...]:
         """Other curves that may be the best."""
-        return tuple(each.curve for each in self.candidates[1:])
+        return tuple(ranked.curve for ranked in self.candidates[1:])
 
     def evidence(self, first: str, second: str) -> Evidence | None:
-        """What is known of two curves: the log of how many times the first one's rate the second takes."""
-        for one, other, found in self.pairs:
+        """The log of the second curve's rate over the first's; None if they are not compared."""
+        for one, other, evidence in self.pairs:
             if (one, other) == (first, second):
-                return found
+                return evidence
             if (other, one) == (first, second):
-                return replace(found, mean=-found.mean)
+                return replace(evidence, mean=-evidence.mean)
         return None
 
-    def not_compared(self, curve: str) -> tuple[str, ...]:
-        """The ranked curves that share no rate with this one, of which nothing is known beside it."""
+    def without_common_rate(self, curve: str) -> tuple[str, ...]:
+        """The ranked curves that share no rate with this one, so that they are not compared."""
         compared = {name for first, second, _ in self.pairs if curve in (first, second) for name in (first, second)}
-        return tuple(each.curve for each in self.ranked if each.curve != curve and each.curve not in compared)
+        others = (ranked.curve for ranked in self.ranked if ranked.curve != curve)
+        return tuple(other for other in others if other not in compared)
 
     @property
     def too_few(self) -> bool:
-        """Whether so few frames or repeats cannot tell of any two codecs, however far apart they are."""
+        """Whether there are too few frames or repeats to compare any two codecs."""
         return _too_few(evidence for _, _, evidence in self.pairs)
 
 
 def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) -> list[Ranking]:
-    """Rankings by every headline of role `task`, or else `quality`: over all sequences first, then on each.
+    """Rank by every headline of role `task`, or else `quality`: over all sequences first, then on each.
 
-    A ranking over all of a single sequence is left out, as are those that would have less than two codecs, unless the
-    column is uninformative, which they say instead. Nothing if the run has no rate. brief: only the first of each
-    column. at: the rate, in its metric's unit, at which codecs are compared, between the logarithms of their settings'
-    rates; all rates that two codecs share, without it.
+    A ranking over all of a single sequence is left out. So are rankings of fewer than two codecs, unless the column is
+    uninformative. Empty if the run has no rate. brief: only the first ranking of each column. at: the rate, in its
+    metric's unit, at which codecs are compared, interpolated in log rate; without it, all rates that two codecs share.
     """
     run = run.as_calibrated
     columns = [c for c in run.headlines("task") or run.headlines("quality")[:1] if c.metric.better != "neither"]
@@ -164,81 +170,82 @@ def rankings(run: RunResult, *, brief: bool = False, at: float | None = None) ->
 def rankings_on(
     run: RunResult, column: Column, groups: Sequence[Sequence[str]], at: float | None = None
 ) -> Iterator[Ranking]:
-    """The ranking by a column over each group of sequences, whatever it compares. Nothing if the run has no rate."""
+    """Yield the ranking by a column over each group of sequences, of any length; nothing if the run has no rate."""
     if run.rate is None:
         return
     gathered = {name: curve_values(run, column, name) for name in dict.fromkeys(chain(*groups))}
-    mute = {name: reason for name, each in gathered.items() if (reason := objection(run, column, *each))}
+    objections = {name: reason for name, curves in gathered.items() if (reason := objection(run, column, *curves))}
     for group in groups:
-        ranking = _ranking(run, column, [name for name in group if name not in mute], gathered, at)
-        why = {name: mute[name] for name in group if name in mute}
+        ranking = _ranking(run, column, [name for name in group if name not in objections], gathered, at)
+        why = {name: objections[name] for name in group if name in objections}
         yield replace(ranking, sequence=group[0] if len(group) == 1 else POOLED, uninformative=why)
 
 
 _Gathered = dict[str, tuple[dict[str, CurveValues], dict[str, str]]]
+"""By sequence, the curves and why others are left out."""
 _Pairs = dict[tuple[int, int], Evidence]
-"""By the positions of two curves."""
+"""Evidence by the positions of two curves."""
 
 
 def _ranking(
     run: RunResult, column: Column, sequences: Sequence[str], gathered: _Gathered, at: float | None
 ) -> Ranking:
     values = {name: gathered[name][0] for name in sequences}
-    curves, left_out = _comparable(run, column, values, {name: gathered[name][1] for name in sequences}, at)
+    curves, left_out = _comparable_curves(run, column, values, {name: gathered[name][1] for name in sequences}, at)
     by_sequence = {name: _evidence_on(curves, of_curves, at) for name, of_curves in values.items()}
     evidence = _over_sequences(by_sequence.values())
     anchors = anchors_of({curve: values[sequences[0]][curve].points for curve in curves}, run.schema.anchors)
-    any_curve = [next(iter(found.values())) for found in values.values() if found]
-    named = {pair: (curves[pair[0]], curves[pair[1]]) for pair in evidence}
+    any_curve = [next(iter(of_curves.values())) for of_curves in values.values() if of_curves]
+    names = {pair: (curves[pair[0]], curves[pair[1]]) for pair in evidence}
     most_doubt = {pair: max(by_sequence, key=lambda name: by_sequence[name][pair].doubt) for pair in evidence}
     unsettled = [
         pair
-        for pair, found in evidence.items()
-        if not found.at_least and found.doubt >= 0.5 * abs(abs(found.mean) - SMALLEST)
+        for pair, known in evidence.items()
+        if not known.at_least and known.doubt >= 0.5 * abs(abs(known.mean) - SMALLEST)
     ]
     return Ranking(
         column,
         POOLED,
         sum(curve.qualities.shape[1] for curve in any_curve),
         tuple(sorted({curve.of for curve in any_curve})),
-        tuple(_placed(curves, values, evidence, anchors, column, at)),
+        tuple(_rank(curves, values, evidence, anchors, column, at)),
         left_out,
         tuple(sequences),
         tuple(anchors),
         at,
-        tuple((*named[pair], found) for pair, found in evidence.items()),
+        tuple((*names[pair], known) for pair, known in evidence.items()),
         _rank_correlation(len(curves), by_sequence),
-        tuple(name for name, found in by_sequence.items() if _too_few(found.values())) if len(sequences) > 1 else (),
-        {named[pair]: _widest_gap(named[pair], values[most_doubt[pair]], at) for pair in unsettled},
-        tuple(named[pair] for pair in evidence if _disputed([found[pair] for found in by_sequence.values()])),
+        tuple(name for name, pairs in by_sequence.items() if _too_few(pairs.values())) if len(sequences) > 1 else (),
+        {names[pair]: _widest_gap(names[pair], values[most_doubt[pair]], at) for pair in unsettled},
+        tuple(names[pair] for pair in evidence if _is_disputed([pairs[pair] for pairs in by_sequence.values()])),
     )
 
 
 def _too_few(evidence: Iterable[Evidence]) -> bool:
-    """Whether nothing says how sure any of these are."""
-    return all(math.isnan(found.variance) for found in evidence)
+    """Whether none of these has a variance."""
+    return all(math.isnan(known.variance) for known in evidence)
 
 
-def _disputed(evidence: list[Evidence]) -> bool:
+def _is_disputed(evidence: list[Evidence]) -> bool:
     """Whether each of two curves is significantly better on some sequence."""
     level = SIGNIFICANCE / len(evidence)
-    return {-1.0, 1.0} <= {math.copysign(1.0, found.mean) for found in evidence if found.p_beyond(SMALLEST) < level}
+    return {-1.0, 1.0} <= {math.copysign(1.0, known.mean) for known in evidence if known.p_beyond(SMALLEST) < level}
 
 
-def _widest_gap(names: tuple[str, str], on: Mapping[str, CurveValues], at: float | None) -> Gap:
-    """The gap on a sequence of the curve whose settings leave more doubt."""
-    both = [on[name] for name in names]
+def _widest_gap(names: tuple[str, str], curves: Mapping[str, CurveValues], at: float | None) -> Gap:
+    """The widest gap on a sequence of whichever curve's gaps cause more doubt."""
+    both = [curves[name] for name in names]
     low, high = max(curve.means[0] for curve in both), min(curve.means[-1] for curve in both)
     if at is not None:
         low = high = float(np.clip(np.mean([curve.mean_at(at) for curve in both]), low, high))
     qualities = np.linspace(low, high, 33)
     gaps = [np.abs(curve.gaps(qualities)) for curve in both]
-    worst = int(np.argmax([each.sum() for each in gaps]))
+    worst = int(np.argmax([errors.sum() for errors in gaps]))
     means = both[worst].means
     widths = np.diff(means)
     if len(gaps[worst]) == len(widths) - 1 and np.isfinite(gaps[worst]).all():
-        beside = np.r_[0.0, gaps[worst], 0.0]
-        widths = widths * np.maximum(beside[:-1], beside[1:])
+        of_neighbors = np.r_[0.0, gaps[worst], 0.0]
+        widths = widths * np.maximum(of_neighbors[:-1], of_neighbors[1:])
     inside = (means[:-1] < high) & (means[1:] > low)
     place = int(np.argmax(widths * inside if inside.any() else widths))
     return Gap(names[worst], (both[worst].points[place], both[worst].points[place + 1]))
@@ -248,25 +255,25 @@ def _rank_correlation(count: int, by_sequence: Mapping[str, _Pairs]) -> dict[str
     """By sequence, Kendall's tau-b of its order and the others' (Kendall 1945, doi:10.1093/biomet/33.3.239)."""
     if len(by_sequence) < 2:
         return {}
-    from scipy.stats import kendalltau  # loads for half a second, and few runs have two sequences
+    from scipy.stats import kendalltau  # takes 1.5 s to load, and few runs need it
 
-    found = {}
-    for name, own in by_sequence.items():
+    correlations = {}
+    for name, pairs_here in by_sequence.items():
         others = _over_sequences(pairs for other, pairs in by_sequence.items() if other != name)
-        (better, scores), (better_there, scores_there) = (_significant(count, pairs) for pairs in (own, others))
+        (better, scores), (better_there, scores_there) = (_significance(count, of) for of in (pairs_here, others))
         if better.any() and better_there.any():
-            found[name] = float(kendalltau(scores, scores_there).statistic)
-    return found
+            correlations[name] = float(kendalltau(scores, scores_there).statistic)
+    return correlations
 
 
-def _comparable(
+def _comparable_curves(
     run: RunResult,
     column: Column,
     values: dict[str, dict[str, CurveValues]],
     reasons: dict[str, dict[str, str]],
     at: float | None,
 ) -> tuple[list[str], dict[str, str]]:
-    """Curves that can be compared with another on every sequence, and why the others cannot."""
+    """The curves that can be compared with another on every sequence, and why the others cannot."""
     baselines = {point.curve for (codec, _), point in run.curves.items() if codec in run.schema.baselines}
     left_out: dict[str, str] = {}
     for result in run.results:
@@ -274,12 +281,12 @@ def _comparable(
         on = result.cell.sequence.name
         if result.cell.evaluator.title == column.evaluator.title and on in values and curve not in values[on]:
             left_out.setdefault(curve, reasons[on].get(curve) or f"{result.status}: {result.reason}")
-    known = dict.fromkeys(curve for found in values.values() for curve in found)
+    known = dict.fromkeys(curve for of_curves in values.values() for curve in of_curves)
     for curve in known:
-        absent = [sequence for sequence, found in values.items() if curve not in found]
+        absent = [sequence for sequence, of_curves in values.items() if curve not in of_curves]
         if absent:
             left_out.setdefault(curve, f"not run yet on {', '.join(absent)}")
-        elif at is not None and (away := [name for name, found in values.items() if not found[curve].contains(at)]):
+        elif at is not None and (away := [name for name, of in values.items() if not of[curve].contains(at)]):
             left_out.setdefault(curve, f"its settings do not reach this rate on {', '.join(away)}")
     curves = [curve for curve in known if curve not in left_out and curve not in baselines]
     for curve in list(curves):
@@ -295,37 +302,37 @@ def _comparable(
 
 
 def _over_sequences(by_sequence: Iterable[_Pairs]) -> _Pairs:
-    """Of each pair of curves that can be compared on every sequence: the mean over sequences."""
-    every = list(by_sequence)
-    shared = [pair for pair in every[0] if all(pair in found for found in every)] if every else []
-    return {pair: combined([found[pair] for found in every]) for pair in shared}
+    """Average over sequences the evidence of each pair of curves that can be compared on every sequence."""
+    sequences = list(by_sequence)
+    shared = [pair for pair in sequences[0] if all(pair in pairs for pairs in sequences)] if sequences else []
+    return {pair: combine([pairs[pair] for pairs in sequences]) for pair in shared}
 
 
 def _evidence_on(curves: list[str], values: dict[str, CurveValues], at: float | None) -> _Pairs:
-    """Of each pair of curves that can be compared on a sequence."""
+    """The evidence of each pair of curves that can be compared on a sequence."""
     members = [values[curve] for curve in curves]
     pairs = {(i, j): difference(members[i], members[j], at) for i, j in combinations(range(len(curves)), 2)}
     return {pair: known.evidence(members[0].of) for pair, known in pairs.items() if known is not None}
 
 
-def _significant(count: int, evidence: _Pairs) -> tuple[NDArray[np.bool_], Array]:
-    """(N, N), whether the row is significantly better than the column, and (N,) scores, by least squares."""
+def _significance(count: int, evidence: _Pairs) -> tuple[NDArray[np.bool_], Array]:
+    """(N, N) whether the row is significantly better than the column, and (N,) scores, by least squares."""
     better = np.zeros((count, count), dtype=bool)
     if not evidence:
         return better, np.zeros(count)
-    certain = holm(np.array([found.p_beyond(SMALLEST) for found in evidence.values()])) < SIGNIFICANCE
-    weights = np.array([_OF_A_BOUND if found.at_least else 1.0 for found in evidence.values()])
+    certain = holm(np.array([known.p_beyond(SMALLEST) for known in evidence.values()])) < SIGNIFICANCE
+    weights = np.array([_OF_A_BOUND if known.at_least else 1.0 for known in evidence.values()])
     design = np.zeros((len(evidence), count))
-    for row, ((first, second), found) in enumerate(evidence.items()):
+    for row, ((first, second), known) in enumerate(evidence.items()):
         design[row, first], design[row, second] = weights[row], -weights[row]
-        winner, loser = (first, second) if found.mean > 0 else (second, first)
+        winner, loser = (first, second) if known.mean > 0 else (second, first)
         better[winner, loser] = certain[row]
-    means = np.array([found.mean for found in evidence.values()])
+    means = np.array([known.mean for known in evidence.values()])
     scores: Array = np.linalg.lstsq(design, weights * means, rcond=None)[0]
     return better, scores
 
 
-def _placed(
+def _rank(
     curves: list[str],
     values: dict[str, dict[str, CurveValues]],
     evidence: _Pairs,
@@ -333,7 +340,7 @@ def _placed(
     column: Column,
     rate: float | None,
 ) -> list[Ranked]:
-    better, scores = _significant(len(curves), evidence)
+    better, scores = _significance(len(curves), evidence)
     first, last = 1 + better.sum(axis=0), len(curves) - better.sum(axis=1)
     shown = scores.copy()
     if rate is not None:
@@ -345,29 +352,29 @@ def _placed(
             if anchor in (one, other):
                 shown[one + other - anchor] = known.mean if other == anchor else -known.mean
     order = sorted(range(len(curves)), key=lambda at: (-shown[at], -scores[at], curves[at]))
-    placed = []
+    ranked = []
     for at in order:
         of_curve = {on: of[curves[at]] for on, of in values.items()}
-        placed.append(
+        ranked.append(
             Ranked(
                 curves[at],
                 int(first[at]),
                 int(last[at]),
                 tuple(curves[other] for other in order if better[at, other]),
-                sum(each.missing for each in of_curve.values()),
-                sum(each.qualities.size for each in of_curve.values()),
+                sum(curve.missing for curve in of_curve.values()),
+                sum(curve.qualities.size for curve in of_curve.values()),
                 float(scores[at]),
-                {on: each.points if rate is None else each.settings_at(rate) for on, each in of_curve.items()},
+                {on: curve.points if rate is None else curve.settings_at(rate) for on, curve in of_curve.items()},
                 None if rate is None else from_quality(float(shown[at]), column),
             )
         )
-    return placed
+    return ranked
 
 
 def holm(p_values: Array) -> Array:
-    """(P,) p-values adjusted so that all that are below a level are true together with that confidence.
+    """Adjust (P,) p-values for multiple tests, so that the level bounds the family-wise error rate.
 
-    Holm 1979, Scandinavian Journal of Statistics 6(2), 65-70. A NaN, where nothing was tested, stays one.
+    Holm 1979, Scandinavian Journal of Statistics 6(2), 65-70. A NaN, which means no test, stays one.
     """
     adjusted = np.full(len(p_values), np.nan)
     tested = np.flatnonzero(~np.isnan(p_values))

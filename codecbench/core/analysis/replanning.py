@@ -1,4 +1,4 @@
-"""A plan of some cells of another run, made of what is installed and lies here, or why that cannot be."""
+"""Plans some cells of another run again, with the plugins and sequences of this machine, or says why not."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError, PluginError
 from codecbench.core.contracts.hooks import Kind
-from codecbench.core.engine.planning.description import InvalidParams, describe, sequence_described
+from codecbench.core.engine.planning.description import InvalidParams, describe, describe_sequence
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix, RunSection
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
@@ -21,72 +21,76 @@ from codecbench.core.engine.plugins.registry import Registry
 _Part = TypeVar("_Part")
 
 _OPENING: Final = 10
-"""Opening a sequence may take so many times what other questions to a plugin may."""
+"""Factor on a plugin's time limit for opening a sequence."""
 
 
 @dataclass(frozen=True)
 class Replanned:
-    """plan: the cells that can be computed here. reasons: why others cannot, by their id."""
+    """A plan made again."""
 
     plan: Plan
+    """The cells that can be computed here."""
     reasons: dict[str, str]
+    """Why the others cannot, by their id."""
 
 
-def replanned(found: Plan, cells: Sequence[Cell], sequences_from: str | None, registry: Registry) -> Replanned:
-    """The plan of these cells of a run that may come from elsewhere.
+def replan(original: Plan, cells: Sequence[Cell], sequences_from: str | None, registry: Registry) -> Replanned:
+    """Plan these cells of a run that may come from elsewhere.
 
-    Identities are made anew from what is installed, so that a cell of the same id is the same experiment. Nothing of
-    the other run decides how this one is run but its seed. Files that its plan names are opened only as
-    `sequences_from` says: a folder in which sequences are looked for, or `same` for where the plan names them.
+    Identities are computed from the installed plugins, so that a cell of the same id is the same experiment. Only the
+    seed is taken from the other run's settings. Files that its plan names are opened only according to
+    `sequences_from`: a folder to search for sequences, or `same` for where the plan names them.
     """
     reader = _Reader(registry, sequences_from)
     sequences = [entry for wanted in _distinct(cell.sequence for cell in cells) if (entry := reader.sequence(wanted))]
     codecs = [codec for setting in _distinct(cell.codec for cell in cells) if (codec := reader.entry(setting))]
     judges = [judge for setting in _distinct(cell.evaluator for cell in cells) if (judge := reader.entry(setting))]
     matrix = Matrix(
-        path=Path(found.name), text="", name=found.name, sequences=(), codecs=tuple(codecs), evaluators=tuple(judges),
-        run=_run_settings(found.run.seed, registry), root={},
+        path=Path(original.name), text="", name=original.name, sequences=(), codecs=tuple(codecs),
+        evaluators=tuple(judges), run=_run_settings(original.run.seed, registry), root={},
     )  # fmt: skip
     inputs = {(cell.sequence.name, cell.codec, cell.evaluator.title): cell.inputs for cell in cells if cell.inputs}
     extent = PlanScope(inputs=dict(inputs))
     plan = (
-        make_plan(matrix, registry, extent=extent, sequences=sequences)
+        make_plan(matrix, registry, scope=extent, sequences=sequences)
         if sequences
-        else replace(found, jobs=(), cells=())
+        else replace(original, jobs=(), cells=())
     )
-    made = {cell.id: cell for cell in plan.cells}
-    reasons = {cell.id: reason for cell in cells if (reason := reader.reason(cell, made.get(cell.id)))}
-    kept = tuple(made[cell.id] for cell in cells if cell.id not in reasons)
-    wanted = {cell.job_id for cell in kept}
-    return Replanned(replace(plan, cells=kept, jobs=tuple(job for job in plan.jobs if job.id in wanted)), reasons)
+    planned = {cell.id: cell for cell in plan.cells}
+    reasons = {cell.id: reason for cell in cells if (reason := reader.reason(cell, planned.get(cell.id)))}
+    computable = tuple(planned[cell.id] for cell in cells if cell.id not in reasons)
+    job_ids = {cell.job_id for cell in computable}
+    return Replanned(
+        replace(plan, cells=computable, jobs=tuple(job for job in plan.jobs if job.id in job_ids)), reasons
+    )
 
 
 class _Reader:
-    """Finds here what another plan names, and keeps why it could not."""
+    """Finds here what another plan names, and records why not."""
 
     def __init__(self, registry: Registry, sequences_from: str | None) -> None:
         self.registry, self.sequences_from = registry, sequences_from
         self.missing: dict[str, str] = {}
 
     def sequence(self, wanted: SequenceEntry) -> SequenceEntry | None:
-        """The sequence, opened here and found to have the same frames; None after noting why not."""
+        """Open the sequence here and check that it has the same frames; None after recording why not."""
         setting, registry = wanted.dataset, self.registry
         try:
             params = self._dataset_params(setting)
             described = describe(registry, "dataset", setting.name, params)
             origin = registry.find("dataset", setting.name).foreign
-            asked: list[tuple[Kind, str]] = [("dataset", setting.name)]
-            found = registry.ask(sequence_described, setting.name, described.params, of=asked, times=_OPENING)
-            if found["fingerprint"] != wanted.fingerprint:
+            plugins: list[tuple[Kind, str]] = [("dataset", setting.name)]
+            opened = registry.ask(describe_sequence, setting.name, described.params, of=plugins, times=_OPENING)
+            if opened["fingerprint"] != wanted.fingerprint:
                 raise DatasetError(f"{wanted.name} has other frames here")
         except (CodecbenchError, InvalidParams, OSError) as error:
             self.missing[wanted.fingerprint] = f"dataset {setting.name}: {error}"
             return None
         dataset = described.setting("dataset", setting.name, origin)
-        return SequenceEntry(**{**found, "name": wanted.name, "dataset": dataset, "notes": tuple(found["notes"])})
+        return SequenceEntry(**{**opened, "name": wanted.name, "dataset": dataset, "notes": tuple(opened["notes"])})
 
     def entry(self, wanted: PluginSetting) -> Entry | None:
-        """The codec or evaluator as it is installed; None after noting why it is not to be had."""
+        """Look up the codec or evaluator among the installed plugins; None after recording why not."""
         kind, name, registry = wanted.kind, wanted.name, self.registry
         try:
             self._refuse_files(kind, name, wanted.params)
@@ -101,10 +105,10 @@ class _Reader:
         setting = described.setting(kind, name, registry.find(kind, name).foreign)
         return Entry((), replace(setting, label=wanted.label), description=described, missing=described.missing)
 
-    def reason(self, cell: Cell, made: Cell | None) -> str | None:
-        """Why a cell cannot be computed here, None where it can. made: the cell of its id, where there is one."""
-        if made is not None:
-            return made.unsupported
+    def reason(self, cell: Cell, planned: Cell | None) -> str | None:
+        """Say why a cell cannot be computed here; None if it can. planned: the new plan's cell of its id, if any."""
+        if planned is not None:
+            return planned.unsupported
         keys = cell.sequence.fingerprint, _key(cell.codec), _key(cell.evaluator)
         known = (self.missing[key] for key in keys if key in self.missing)
         return next(known, "its identity is another one here: something that can change the result is not as it was")
@@ -114,16 +118,16 @@ class _Reader:
             self._refuse_files("dataset", setting.name, setting.params)
         if self.sequences_from in (None, SAME_PLACE):
             return setting.params
-        return {name: relocated(value, Path(str(self.sequences_from))) for name, value in setting.params.items()}
+        return {name: relocate(value, Path(str(self.sequences_from))) for name, value in setting.params.items()}
 
     def _refuse_files(self, kind: Kind, name: str, params: dict[str, Any]) -> None:
-        """Raise DatasetError where parameters name files, unless those may be opened where the plan names them."""
+        """Raise DatasetError if parameters name files, unless they may be opened where the plan names them."""
         if self.sequences_from == SAME_PLACE:
             return
         paths = set(self.registry.ask(path_params, kind, name, of=[(kind, name)]))
-        named = [value for key, value in params.items() if (key in paths and value is not None) or _has_path(value)]
-        if named:
-            message = f"the run names {named[0]!r}, which is opened only when you say so"
+        values = [value for key, value in params.items() if (key in paths and value is not None) or _has_path(value)]
+        if values:
+            message = f"the run names {values[0]!r}, which is opened only when you say so"
             remedy = "give --sequences-from FOLDER, or --sequences-from same"
             raise DatasetError(f"{message}: {remedy if kind == 'dataset' else '--sequences-from same'}")
 
@@ -137,7 +141,7 @@ def path_params(registry: Registry, kind: Kind, name: str) -> list[str]:
 
 
 def _has_path(value: Any) -> bool:
-    """Whether a value of JSON has a text with a slash somewhere."""
+    """Whether a JSON value contains a text with a slash."""
     if isinstance(value, str):
         return "/" in value
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
@@ -145,7 +149,7 @@ def _has_path(value: Any) -> bool:
 
 
 def _run_settings(seed: int, registry: Registry) -> RunSettings:
-    """How to run when nothing is said, with this seed."""
+    """The default run settings, with this seed."""
     usual, name = RunSection(), registry.plugins("executor")[0].spec.name
     executor = describe(registry, "executor", name, {}).setting("executor", name, "")
     return RunSettings(usual.workers, usual.timeout_s, usual.memory_mb, seed, executor)
@@ -156,7 +160,7 @@ def _key(setting: PluginSetting) -> str:
 
 
 def _distinct(parts: Iterable[_Part]) -> list[_Part]:
-    """The parts in order, each once; they hold mappings, so that they cannot all be hashed."""
+    """The parts in order, without repetitions; not all can be hashed, as they hold mappings."""
     seen: list[_Part] = []
     for part in parts:
         if part not in seen:
@@ -165,11 +169,11 @@ def _distinct(parts: Iterable[_Part]) -> list[_Part]:
 
 
 SAME_PLACE: Final = "same"
-"""Says that sequences are opened where the plan names them."""
+"""Value of `sequences_from` that opens sequences where the plan names them."""
 
 
-def relocated(value: Any, folder: Path) -> Any:
-    """A parameter that is a path, as it is called in `folder`; others as they are. Raises DatasetError."""
+def relocate(value: Any, folder: Path) -> Any:
+    """Find a parameter that is a path in `folder`; return others as they are. Raises DatasetError."""
     if not isinstance(value, str) or "/" not in value:
         return value
     home, parts = folder.resolve(), [part for part in Path(value).parts if part not in ("/", "..")]

@@ -1,4 +1,4 @@
-"""The uniform tables of a run: tidy, one row a measurement, and wide, one row a codec setting on a sequence."""
+"""The tables of a run: tidy, one row a measurement, and wide, one row a codec setting on a sequence."""
 
 from __future__ import annotations
 
@@ -28,36 +28,36 @@ TIDY_COLUMNS: Final = (
     "frame", "stage", "repeat", "value", "status", "reason",
 )  # fmt: skip
 NOTES: Final = "notes"
-"""The last column of both tables, where a setting has notes: a run in which none has any keeps the columns it had."""
+"""The last column of both tables, if any setting of the run has notes."""
 
 _TEXT: Final = ("sequence", "codec", "setting", "evaluator", "metric", "unit", "stage", "status", "reason", NOTES)
 _OVER_REPEATS: Final = {"mean": "mean", "sum": "mean"}
-"""What becomes of a per-repeat aggregate over frames when there are several repeats; the median otherwise."""
+"""Aggregate over repeats, by the aggregate over frames; the median for all others."""
 
 
 @dataclass(frozen=True)
 class CellResult:
-    """A cell beside what became of it, as tables need it.
-
-    measurements: those that belong to no frame, with those that compare with the baseline codec. summaries:
-    aggregates over the frames of this repeat, by (metric, stage, aggregate). metrics: what the evaluator
-    declares. samples: reads those of single frames, an Arrow table of metric, frame, stage, value, reason.
-    folder: where the record and its artifacts lie. duration_s: wall time of its evaluation, 0 where unknown.
-    drawing: makes the picture of what it left, where its evaluator offers one. code: of its plugins, by label.
-    worker, notes, traceback: of the record.
-    """
+    """A cell with its record."""
 
     cell: Cell
     status: str
     reason: str
     measurements: tuple[Measurement, ...]
+    """Those of no single frame, with those that compare with the baseline codec."""
     summaries: dict[tuple[str, str, str], float]
+    """Aggregates over the frames of this repeat, by (metric, stage, aggregate)."""
     metrics: dict[str, Metric]
+    """As the evaluator declares them, by name."""
     samples: Callable[[], pyarrow.Table]
+    """Reads the samples of single frames: a table of metric, frame, stage, value, reason."""
     folder: Path
+    """Of the record and its artifacts."""
     duration_s: float = 0.0
+    """Wall time of its evaluation; 0 if unknown."""
     drawing: Callable[[], Drawing | None] = lambda: None
+    """Draws the cell, if its evaluator can."""
     code: dict[str, str] = field(default_factory=dict)
+    """Fingerprints of its plugins, by label."""
     worker: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     traceback: str = ""
@@ -73,14 +73,14 @@ class CellResult:
         return frames
 
     def values_of_frames(self, metric: str, stage: str = "") -> NDArray[np.float64]:
-        """(frames,) values of a metric by frame, NaN where there is none."""
-        import pyarrow.compute as pc  # as in samples: many commands read no samples
+        """(frames,) values of a metric by frame; NaN for frames without one."""
+        import pyarrow.compute as pc  # slow to load, and many commands read no samples
 
         samples = self.samples()
         of_stage = pc.equal(samples["stage"], stage) if stage else pc.is_null(samples["stage"])
-        found = samples.filter(pc.and_(pc.equal(samples["metric"], metric), of_stage))
+        rows = samples.filter(pc.and_(pc.equal(samples["metric"], metric), of_stage))
         values = np.full(self.cell.sequence.frames, np.nan)
-        values[found["frame"].to_numpy()] = found["value"].to_numpy()
+        values[rows["frame"].to_numpy()] = rows["value"].to_numpy()
         return values
 
 
@@ -93,9 +93,9 @@ def by_row(results: Iterable[CellResult]) -> dict[tuple[str, str, str], list[Cel
 
 
 def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
-    """All measurements, one a row, in the order of the plan; columns as in TIDY_COLUMNS, and NOTES where there are any.
+    """All measurements, one a row, in the order of the plan; columns as in TIDY_COLUMNS, and NOTES if there are any.
 
-    A cell that gave none is one row with its status and reason and no metric. Missing values are NaN with a
+    A cell without measurements is one row with its status and reason and no metric. Missing values are NaN with a
     reason. Text columns are categorical, so that millions of samples fit in memory.
     """
     results = list(results)
@@ -109,7 +109,7 @@ def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
             part[NOTES] = (np.zeros(len(part["value"]), np.int32), [noted.get(result.row, "")])
     for name in (*TIDY_COLUMNS, NOTES) if noted else TIDY_COLUMNS:
         values = [part[name] for part in parts]
-        columns[name] = _joined_text(values) if name in _TEXT else np.concatenate(values)
+        columns[name] = _join_text(values) if name in _TEXT else np.concatenate(values)
     table = pd.DataFrame(columns)
     table["frame"] = table["frame"].astype("Int32")
     return table
@@ -118,18 +118,18 @@ def tidy(results: Iterable[CellResult]) -> pd.DataFrame:
 def wide(results: Iterable[CellResult]) -> pd.DataFrame:
     """One row for each sequence and codec setting; columns `evaluator.metric[.stage].aggregate`.
 
-    An aggregate is taken over the frames of each repeat, and over repeats the median is taken (the mean for
-    `mean` and `sum`); a metric measured once a repeat is aggregated over the repeats. `status` is `ok` where
-    every cell of the row is, else it counts those that are not; `reason` is the first of their reasons. `notes` is what
-    is to be known of the row's setting beside its numbers, a column only where there is anything.
+    An aggregate is taken over the frames of each repeat, then the median over repeats (the mean for `mean` and
+    `sum`). A metric measured once a repeat is aggregated over the repeats. `status` is `ok` if every cell of the row
+    is, else it counts those that are not; `reason` is the first of their reasons. `notes` is a column only if there are
+    any.
     """
     rows = by_row(results)
     noted = _notes(result for members in rows.values() for result in members)
     table = []
     for (sequence, codec, setting), members in rows.items():
         row: dict[str, Any] = {"sequence": sequence, "codec": codec, "setting": setting}
-        row |= _verdict(members)
-        row |= _summarised(members)
+        row |= _status(members)
+        row |= _summaries(members)
         if noted:
             row[NOTES] = noted.get((sequence, codec, setting), "")
         table.append(row)
@@ -137,7 +137,7 @@ def wide(results: Iterable[CellResult]) -> pd.DataFrame:
 
 
 def _notes(results: Iterable[CellResult]) -> dict[tuple[str, str, str], str]:
-    """What is noted of each row of the wide table by any of its cells, each note once; only rows with notes."""
+    """The notes of each row of the wide table, without repetitions; only rows with notes."""
     noted: dict[tuple[str, str, str], dict[str, None]] = defaultdict(dict)
     for result in results:
         if result.notes:
@@ -146,14 +146,14 @@ def _notes(results: Iterable[CellResult]) -> dict[tuple[str, str, str], str]:
 
 
 def _rows(result: CellResult) -> dict[str, Any]:
-    """The tidy rows of one cell as columns; constant text is given once and repeated when columns are joined."""
+    """The tidy rows of one cell as columns; constant text is a single text until columns are joined."""
     samples = result.samples() if result.status == "ok" else None
     if samples is not None and not len(samples):
         samples = None
-    own = result.measurements
-    count = len(own) + (0 if samples is None else len(samples))
+    measurements = result.measurements
+    count = len(measurements) + (0 if samples is None else len(samples))
     cell = result.cell
-    once = {
+    constants = {
         "sequence": cell.sequence.name,
         "codec": cell.codec.name,
         "setting": cell.codec.label,
@@ -161,20 +161,20 @@ def _rows(result: CellResult) -> dict[str, Any]:
         "status": result.status,
     }
     nothing, count = count == 0, max(count, 1)
-    columns: dict[str, Any] = {name: (np.zeros(count, np.int32), [text]) for name, text in once.items()}
+    columns: dict[str, Any] = {name: (np.zeros(count, np.int32), [text]) for name, text in constants.items()}
     columns["repeat"] = np.full(count, cell.repeat, np.int32)
     if nothing:
         blank: tuple[np.ndarray, list[str]] = (np.full(1, -1, np.int32), [])
         columns |= {"metric": blank, "unit": blank, "stage": blank, "reason": _codes([result.reason or None])}
         return columns | {"frame": np.full(1, np.nan), "value": np.full(1, np.nan)}
-    metric = _chained(_codes([measured.metric for measured in own]), samples, "metric")
+    metric = _chain(_codes([measured.metric for measured in measurements]), samples, "metric")
     codes, names = metric
     columns["metric"] = metric
     columns["unit"] = (codes, [result.metrics[name].unit if name in result.metrics else "" for name in names])
-    columns["stage"] = _chained(_codes([measured.stage for measured in own]), samples, "stage")
-    columns["reason"] = _chained(_codes([measured.reason for measured in own]), samples, "reason")
-    columns["frame"] = np.full(len(own), np.nan)
-    columns["value"] = np.array([measured.value for measured in own], dtype=np.float64)
+    columns["stage"] = _chain(_codes([measured.stage for measured in measurements]), samples, "stage")
+    columns["reason"] = _chain(_codes([measured.reason for measured in measurements]), samples, "reason")
+    columns["frame"] = np.full(len(measurements), np.nan)
+    columns["value"] = np.array([measured.value for measured in measurements], dtype=np.float64)
     if samples is not None:
         for name in ("frame", "value"):
             columns[name] = np.concatenate([columns[name], samples[name].to_numpy()])
@@ -188,20 +188,20 @@ def _codes(texts: list[str | None]) -> tuple[np.ndarray, list[str]]:
     return np.array(codes, np.int32), list(names)
 
 
-def _chained(
-    own: tuple[np.ndarray, list[str]], samples: pyarrow.Table | None, column: str
+def _chain(
+    first: tuple[np.ndarray, list[str]], samples: pyarrow.Table | None, column: str
 ) -> tuple[np.ndarray, list[str]]:
-    """Own texts followed by a text column of the frames' samples."""
+    """Append a text column of the frames' samples to other texts."""
     if samples is None:
-        return own
-    codes, names = own
+        return first
+    codes, names = first
     texts = samples[column].combine_chunks().dictionary_encode()
     more = texts.indices.fill_null(-1).to_numpy()
     shifted = np.where(more < 0, -1, more + len(names)).astype(np.int32)
     return np.concatenate([codes, shifted]), names + [clean_line(text) for text in texts.dictionary.to_pylist()]
 
 
-def _joined_text(parts: list[tuple[np.ndarray, list[str]]]) -> pd.Categorical:
+def _join_text(parts: list[tuple[np.ndarray, list[str]]]) -> pd.Categorical:
     names: dict[str, int] = {}
     joined = []
     for codes, texts in parts:
@@ -210,7 +210,8 @@ def _joined_text(parts: list[tuple[np.ndarray, list[str]]]) -> pd.Categorical:
     return pd.Categorical.from_codes(np.concatenate(joined), categories=pd.Index(list(names), dtype=object))
 
 
-def _verdict(members: list[CellResult]) -> dict[str, str]:
+def _status(members: list[CellResult]) -> dict[str, str]:
+    """The status and the reason of a row."""
     bad = [member for member in members if member.status != "ok"]
     if not bad:
         return {"status": "ok", "reason": ""}
@@ -219,7 +220,7 @@ def _verdict(members: list[CellResult]) -> dict[str, str]:
     return {"status": status, "reason": bad[0].reason}
 
 
-def _summarised(members: list[CellResult]) -> dict[str, float]:
+def _summaries(members: list[CellResult]) -> dict[str, float]:
     """The wide columns of one row."""
     by_evaluator: dict[str, list[CellResult]] = defaultdict(list)
     for member in members:
@@ -250,7 +251,7 @@ def _over_repeats(repeats: list[CellResult]) -> Iterator[tuple[str, float]]:
 
 
 def _of_repeats(how: str, values: list[float]) -> float:
-    """An aggregate of one value a repeat; of a single repeat, as most are, its mean or median is it."""
+    """An aggregate of one value a repeat; a single value is its own."""
     return values[0] if len(values) == 1 else aggregate(how, np.array(values))
 
 
@@ -259,12 +260,12 @@ def _column(metric: str, stage: str, how: str) -> str:
 
 
 def _column_order(rows: list[dict[str, Any]]) -> list[str]:
-    """Every column of any row, in order of first appearance, with the verdict last."""
+    """Every column of any row, in order of first appearance, with the status last."""
     seen = dict.fromkeys(("sequence", "codec", "setting", *(name for row in rows for name in row)))
     tail = ("status", "reason", NOTES) if NOTES in seen else ("status", "reason")
     return [*(name for name in seen if name not in tail), *tail]
 
 
 def json_value(value: object) -> object:
-    """A value that JSON can hold: infinities as text, NaN as null."""
+    """Convert a value to what JSON can hold: infinities to text, NaN to null."""
     return json_from_value(value) if isinstance(value, float) else value

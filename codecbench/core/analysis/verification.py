@@ -1,4 +1,4 @@
-"""Computing a sample of a run's cells again, in a fresh run folder, and saying which agree."""
+"""Computes a sample of a run's cells again, in a new run folder, and compares the values."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from codecbench.core.analysis.replanning import SAME_PLACE, Replanned, replanned
+from codecbench.core.analysis.replanning import SAME_PLACE, Replanned, replan
 from codecbench.core.contracts.errors import ParamsError, StoreError
 from codecbench.core.contracts.metric import Metric
-from codecbench.core.engine.bundling.unpacking import unpack_bundle
-from codecbench.core.engine.planning.declared import read_declared
+from codecbench.core.engine.bundling.packing import unpack_bundle
+from codecbench.core.engine.planning.declared import read_declaration
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.run import Listener, run_plan
@@ -28,35 +28,36 @@ Verdict = Literal["to the bit", "within tolerance", "differs", "not recomputed"]
 VERDICTS: Final[tuple[Verdict, ...]] = ("to the bit", "within tolerance", "differs", "not recomputed")
 
 TOLERANCE: Final = 1e-6
-"""Relative difference of two values up to which they agree where libraries have other versions: more than sums of
-floats in another order make, less than any table shows."""
+"""Relative difference up to which values agree if libraries have other versions.
+
+More than floats summed in another order differ, and less than any table shows."""
 
 _WITHOUT_NUMBERS: Final = {"distributed", "pandas", "pebble", "pyarrow", "pydantic"}
-"""Distributions that carry results and compute none."""
+"""Distributions that do not compute results."""
 
 Values = dict[tuple[str, str, int | None, int], float]
-"""Values by metric, stage, frame, and how many of the same came before."""
+"""Values by metric, stage, frame, and the count of those before with the same metric, stage and frame."""
 CELLS: Final = 5
+"""Cells that are computed again by default."""
 
 
 @dataclass(frozen=True)
 class Verification:
-    """How a sample of a run's cells came out.
-
-    of: how many cells have something to compare. left_out: how many have a result, but times and the like alone.
-    """
+    """The agreement of a run's cells that were computed again."""
 
     name: str
     cells: tuple[Agreement, ...]
     of: int
+    """Number of cells of the run that have values to compare."""
     left_out: int
+    """Number of cells that only have values such as times, which never repeat."""
     tolerance: float
 
     @property
     def counts(self) -> dict[str, int]:
         """How many cells have which verdict, from the best."""
-        found = Counter(agreement.verdict for agreement in self.cells)
-        return {verdict: found[verdict] for verdict in VERDICTS if found[verdict]}
+        counts = Counter(agreement.verdict for agreement in self.cells)
+        return {verdict: counts[verdict] for verdict in VERDICTS if counts[verdict]}
 
     @property
     def holds(self) -> bool:
@@ -75,48 +76,54 @@ def verify_run(
     workers: int | None = None,
     listener: Listener | None = None,
 ) -> Verification:
-    """Compute some cells of a bundle, or of a run folder, again and compare them with what it says.
+    """Compute some cells of a bundle or a run folder again and compare the values.
 
-    cells, seed: how many, and which by chance. tolerance: relative difference that still agrees where libraries
-    have other versions; where they are equal, values must be. out: a fresh run
-    folder to keep what was computed; without it that is removed. sequences_from: where sequences are that the plan
-    names by path, a folder or `same` for where it says. Raises StoreError for a bundle that is refused, for what is no
-    run, and for a folder `out` that is there already, and ParamsError for numbers out of their range.
+    cells: how many. seed: of their random choice. tolerance: relative difference that still agrees if libraries have
+    other versions; if they are equal, values must be. out: a new run folder for the results; without it they are
+    removed. sequences_from: where to find sequences that the plan names by path: a folder, or `same` for that path.
+    Raises StoreError if the bundle is refused, `path` is no run or `out` exists, and ParamsError for numbers out of
+    range.
     """
     if cells < 1 or not tolerance >= 0:
         raise ParamsError(f"cells is {cells} and tolerance {tolerance}; at least 1 cell, and a tolerance from 0")
     path = Path(path)
     if out is not None and Path(out).exists():
         raise StoreError(f"{out} is there already; what is computed again goes into a fresh folder")
-    with tempfile.TemporaryDirectory(prefix="codecbench-verify-", ignore_cleanup_errors=True) as place:
+    with tempfile.TemporaryDirectory(prefix="codecbench-verify-", ignore_cleanup_errors=True) as temporary:
         folder = path
         if not path.is_dir():
-            unpack_bundle(path, folder := Path(place) / "bundle")
+            unpack_bundle(path, folder := Path(temporary) / "bundle")
         elif sequences_from is None and _is_from_here(path):
             sequences_from = SAME_PLACE
-        again = Store(Path(out) if out is not None else Path(place) / "again")
+        again = Store(Path(out) if out is not None else Path(temporary) / "again")
         there, registry = Store(folder), installed()
-        found, statuses = there.read_plan(), {id_: entry.status for id_, entry in there.entries().items()}
-        candidates = verifiable_cells(found, statuses)
-        made = replanned(found, sampled(candidates, cells, seed), sequences_from, registry)
-        if made.plan.cells and run_plan(made.plan, again.folder, workers=workers, listener=listener).interrupted:
+        plan, statuses = there.read_plan(), {id_: entry.status for id_, entry in there.entries().items()}
+        candidates = verifiable_cells(plan, statuses)
+        replanned = replan(plan, sample_cells(candidates, cells, seed), sequences_from, registry)
+        if (
+            replanned.plan.cells
+            and run_plan(replanned.plan, again.folder, workers=workers, listener=listener).interrupted
+        ):
             raise KeyboardInterrupt
-        agreements = tuple(_agreement(there, again, made, cell, tolerance) for cell in sampled(candidates, cells, seed))
-    done = sum(statuses.get(cell.id) == "ok" for cell in found.cells)
-    return Verification(found.name, agreements, len(candidates), done - len(candidates), tolerance)
+        agreements = tuple(
+            _agreement(there, again, replanned, cell, tolerance) for cell in sample_cells(candidates, cells, seed)
+        )
+    done = sum(statuses.get(cell.id) == "ok" for cell in plan.cells)
+    return Verification(plan.name, agreements, len(candidates), done - len(candidates), tolerance)
 
 
 def _is_from_here(folder: Path) -> bool:
+    """Whether the run was planned on this machine."""
     try:
         return PlanFile(folder).origin_elsewhere() is None
     except (OSError, ValueError, KeyError, TypeError):
-        return False  # reading the plan says what is wrong with it
+        return False  # reading the plan reports what is wrong with it
 
 
-def _agreement(there: Store, here: Store, made: Replanned, cell: Cell, tolerance: float) -> Agreement:
-    if cell.id in made.reasons:
-        return Agreement(cell, "not recomputed", note=made.reasons[cell.id])
-    metrics = repeatable_metrics(made.plan, cell.evaluator.title)
+def _agreement(there: Store, here: Store, replanned: Replanned, cell: Cell, tolerance: float) -> Agreement:
+    if cell.id in replanned.reasons:
+        return Agreement(cell, "not recomputed", note=replanned.reasons[cell.id])
+    metrics = repeatable_metrics(replanned.plan, cell.evaluator.title)
     try:
         known = values_of(there, there.read_record(cell.id), metrics)
     except (StoreError, OSError, ValueError) as error:
@@ -125,35 +132,36 @@ def _agreement(there: Store, here: Store, made: Replanned, cell: Cell, tolerance
     if record.status != "ok":
         return Agreement(cell, "not recomputed", note=f"{record.status} here: {record.reason}")
     other = other_version(_environment(there, there.read_record(cell.id)), _environment(here, record))
-    return compared(cell, known, values_of(here, record, metrics), tolerance, other)
+    return compare_values(cell, known, values_of(here, record, metrics), tolerance, other)
 
 
 def _environment(store: Store, record: Record) -> dict[str, Any]:
-    """Where a record was computed; empty where nothing is known of it, which agrees with nowhere."""
+    """The environment that computed a record; empty if unknown, which agrees with none."""
     return store.environments.read().get(record.environment or "", {})
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """What became of a cell. values: how many were compared. note: which differs first, or why there are none."""
+    """How a cell agrees with its record."""
 
     cell: Cell
     verdict: Verdict
     values: int = 0
+    """How many were compared."""
     note: str = ""
+    """The first that differs, or why none was compared."""
 
 
 def values_of(store: Store, record: Record, metrics: Collection[str] | None) -> Values:
-    """What a record measured of these metrics, all where it is None. Raises StoreError, ValueError or OSError."""
-    rows = [(each.metric, each.stage or "", None, each.value) for each in record.measurements]
+    """What a record measured of these metrics, or of all for None. Raises StoreError, ValueError or OSError."""
+    rows = [(measured.metric, measured.stage or "", None, measured.value) for measured in record.measurements]
     content = store.samples(record)
     if content is not None:
         columns = table_from_parquet(content).to_pydict()
         names = ("metric", "stage", "frame", "value")
-        found = zip(*(columns[name] for name in names), strict=True)
-        rows += [
-            (metric, stage or "", frame, math.nan if value is None else value) for metric, stage, frame, value in found
-        ]
+        samples = zip(*(columns[name] for name in names), strict=True)
+        rows += [(metric, stage or "", frame, math.nan if value is None else value)
+                 for metric, stage, frame, value in samples]  # fmt: skip
     values: Values = {}
     for metric, stage, frame, value in rows:
         if metrics is not None and metric not in metrics:
@@ -166,11 +174,11 @@ def values_of(store: Store, record: Record, metrics: Collection[str] | None) -> 
 
 
 def other_version(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """What is another in two environments and may change a result, the first of it; empty if nothing is.
+    """Say the first difference of two environments that may change a result; empty if there is none.
 
-    Beside versions that is `simd`: OpenBLAS, OpenCV, NumPy and the C library choose their code by what the processor
-    has of AVX2 and AVX-512, and round otherwise. A library that one side lacks is none that the cell used. A
-    description that comes from elsewhere may have anything in any place.
+    It may be a version or `simd`: OpenBLAS, OpenCV, NumPy and the C library choose their code by the processor's AVX2
+    and AVX-512, and round differently. A library that one side lacks was not used by the cell. A description from
+    elsewhere may have anything in any place.
     """
     versions = [
         {**_part(side, "machine", "architecture", "simd"), **_part(side, "system", "libc"), **_part(side, "libraries"),
@@ -189,15 +197,15 @@ def _part(environment: dict[str, Any], part: str, *names: str) -> dict[str, Any]
     return {name: value for name, value in values.items() if not names or name in names}
 
 
-def compared(cell: Cell, there: Values, here: Values, tolerance: float, other: str = "") -> Agreement:
-    """What the values of a cell have in common with those that were computed here.
+def compare_values(cell: Cell, there: Values, here: Values, tolerance: float, other: str = "") -> Agreement:
+    """Compare the values of a cell with those computed here.
 
-    other: what has another version here. Where all versions are equal nothing but equal values agree.
+    other: what has another version here. If all versions are equal, only equal values agree.
     """
     if there.keys() != here.keys():
         key = min(there.keys() ^ here.keys(), key=str)
         side = "not measured here" if key in there else "measured here alone"
-        return Agreement(cell, "differs", len(there), f"{_named(key)}: {side}")
+        return Agreement(cell, "differs", len(there), f"{_label(key)}: {side}")
     apart = {key: _distance(value, here[key]) for key, value in there.items()}
     if not apart:
         return Agreement(cell, "not recomputed", 0, "it measured nothing that comes out the same twice")
@@ -208,43 +216,43 @@ def compared(cell: Cell, there: Values, here: Values, tolerance: float, other: s
     first = (beyond or unequal)[0]
     verdict: Verdict = "differs" if beyond else "within tolerance"
     note = (
-        f"{_named(first)}: {there[first]!r} there, {here[first]!r} here; {len(unequal)} of {len(there)} values differ"
+        f"{_label(first)}: {there[first]!r} there, {here[first]!r} here; {len(unequal)} of {len(there)} values differ"
     )
     return Agreement(cell, verdict, len(there), f"{note}; {other or 'versions and instructions are equal'}")
 
 
 def _distance(first: float, second: float) -> float:
-    """The relative difference; 0 of values that are the same, missing and infinite ones too."""
+    """The relative difference; 0 for equal values, also if missing or infinite."""
     if first == second or (math.isnan(first) and math.isnan(second)):
         return 0.0
     distance = abs(first - second) / max(abs(first), abs(second))
     return distance if math.isfinite(distance) else math.inf
 
 
-def _named(key: tuple[str, str, int | None, int]) -> str:
+def _label(key: tuple[str, str, int | None, int]) -> str:
     metric, stage, frame, _ = key
     name = f"{metric}/{stage}" if stage else metric
     return name if frame is None else f"{name} of frame {frame}"
 
 
 def repeatable_metrics(plan: Plan, title: str) -> set[str] | None:
-    """The metrics of an evaluator, by its title, that equal code gives again; None where the plan does not tell."""
+    """The repeatable metrics of an evaluator, by its title; None if the plan does not declare them."""
     declared = plan.declared.get("evaluators", {}).get(title, {}).get("metrics")
     if not isinstance(declared, list):
         return None
-    metrics = [read_declared(Metric, value) for value in declared if isinstance(value, dict)]
+    metrics = [read_declaration(Metric, value) for value in declared if isinstance(value, dict)]
     return {metric.name for metric in metrics if metric is not None and metric.repeatable}
 
 
 def verifiable_cells(plan: Plan, statuses: Mapping[str, str]) -> list[Cell]:
-    """Cells that have a result of which something can be compared: times and the like never come out the same."""
+    """The cells with a result that has values to compare; times and the like never repeat."""
     titles = dict.fromkeys(cell.evaluator.title for cell in plan.cells)
     nothing = {title for title in titles if repeatable_metrics(plan, title) == set()}
     return [cell for cell in plan.cells if statuses.get(cell.id) == "ok" and cell.evaluator.title not in nothing]
 
 
-def sampled(cells: list[Cell], count: int, seed: int) -> list[Cell]:
-    """`count` of the cells, each equally likely, in their order; equal seeds choose equal cells."""
+def sample_cells(cells: list[Cell], count: int, seed: int) -> list[Cell]:
+    """Choose `count` of the cells at random, in their order; equal seeds choose equal cells."""
     ids = sorted(cell.id for cell in cells)
     chosen = set(random.Random(seed).sample(ids, min(count, len(ids))))
     return [cell for cell in cells if cell.id in chosen]

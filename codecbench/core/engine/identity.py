@@ -1,4 +1,4 @@
-"""Identities: equal things get equal names, over processes, machines and years."""
+"""Identities: equal values get equal digests across processes, machines and years."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ DIGEST_BYTES = 16
 
 
 def canonical_json(value: Any) -> bytes:
-    """The one spelling of a JSON value; the order of mappings does not matter.
+    """Return the canonical spelling of a JSON value; the order of mappings does not matter.
 
-    Raises TypeError for what JSON cannot hold and ValueError for NaN and infinities, which have no
-    agreed spelling.
+    Raises TypeError for values that JSON cannot represent, and ValueError for NaN and infinities, which have no
+    standard spelling.
     """
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False).encode()
 
 
 def json_from_bytes(content: bytes | str) -> Any:
-    """The value of a JSON text. Raises ValueError for anything else: NaN, infinities and bottomless nesting too."""
+    """Parse a JSON text. Raises ValueError for anything else, including NaN, infinities and too deep nesting."""
     try:
         return json.loads(content, parse_constant=_no_number, parse_float=_finite)
     except RecursionError:
@@ -28,17 +28,17 @@ def json_from_bytes(content: bytes | str) -> Any:
 
 
 def content_digest(content: bytes) -> str:
-    """A 32-character hex digest of bytes."""
+    """Return a 32-character hex digest of bytes."""
     return hashlib.blake2b(content, digest_size=DIGEST_BYTES).hexdigest()
 
 
 def digest(value: Any) -> str:
-    """The digest of a JSON value in its canonical spelling."""
+    """Return the digest of a JSON value in its canonical spelling."""
     return content_digest(canonical_json(value))
 
 
 def seed_from(identity: str, seed: int) -> int:
-    """A 63-bit seed for one cell: the run's seed mixed with the cell's identity, so that no two cells share one."""
+    """Return a 63-bit seed for one cell: the run's seed mixed with the cell's identity, so that cells differ."""
     return int(digest([identity, seed])[:16], 16) >> 1
 
 

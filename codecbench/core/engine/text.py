@@ -1,6 +1,6 @@
-"""Text made fit to be shown: of plugins, records and plans without control characters and never endless; and counts.
+"""Make texts of plugins, records and plans safe to show: no control characters, limited length.
 
-It passes here once, where it comes in: when something fails in a worker, and when a run folder is read. What shows it
+Texts are cleaned once, at their source: when something fails in a worker, and when a run folder is read. Output code
 then only escapes what its format would take for markup.
 """
 
@@ -10,28 +10,30 @@ import re
 import signal
 from typing import Any, Final
 
+from codecbench.core.engine.identity import content_digest
+
 LINE_LIMIT: Final = 1_000
-"""Characters of a name, a label or a reason."""
+"""Maximum characters of a name, a label or a reason."""
 
 TEXT_LIMIT: Final = 100_000
-"""Characters of a text of many lines: a traceback, a matrix."""
+"""Maximum characters of a multi-line text: a traceback, a matrix."""
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
-"""Control characters but tab and line feed, those that turn the direction of writing, and halves of surrogates."""
+"""Control characters except tab and line feed, bidirectional and zero-width marks, and lone surrogates."""
 
 
 def clean_line(text: str) -> str:
-    """One line of at most about `LINE_LIMIT` characters; whatever else is no plain text is spelt out (`\\x1b`)."""
-    return _cut(_spelt(" ".join(text.split()) if "\n" in text or "\t" in text or "\r" in text else text), LINE_LIMIT)
+    r"""Return one line of at most about `LINE_LIMIT` characters, with unprintable characters escaped (`\\x1b`)."""
+    return _cut(_escape(" ".join(text.split()) if "\n" in text or "\t" in text or "\r" in text else text), LINE_LIMIT)
 
 
 def clean_text(text: str) -> str:
-    """Lines of at most about `TEXT_LIMIT` characters together."""
-    return _cut(_spelt(text), TEXT_LIMIT)
+    """Return lines of at most about `TEXT_LIMIT` characters in total."""
+    return _cut(_escape(text), TEXT_LIMIT)
 
 
 def clean_value(value: Any) -> Any:
-    """A JSON value with every text in it, names of entries too, as `clean_line` gives it."""
+    """Clean every text in a JSON value, including keys, with `clean_line`."""
     if isinstance(value, str):
         return clean_line(value)
     if isinstance(value, dict):
@@ -41,39 +43,37 @@ def clean_value(value: Any) -> Any:
     return value
 
 
-def _spelt(text: str) -> str:
-    return _CONTROL.sub(lambda found: found.group().encode("unicode_escape").decode(), text)
+def _escape(text: str) -> str:
+    return _CONTROL.sub(lambda match: match.group().encode("unicode_escape").decode(), text)
 
 
 def _cut(text: str, limit: int) -> str:
-    """The text, or its beginning with a digest of the whole, so that different texts stay different."""
+    """Truncate a text and append a digest of the whole, so that different texts stay different."""
     if len(text) <= limit:
         return text
-    from codecbench.core.engine.identity import content_digest  # brings pydantic, which most commands do without
-
-    mark = content_digest(text.encode("utf-8", "backslashreplace"))[:8]
-    return f"{text[:limit]}... ({len(text):,} characters, digest {mark})"
+    digest = content_digest(text.encode("utf-8", "backslashreplace"))[:8]
+    return f"{text[:limit]}... ({len(text):,} characters, digest {digest})"
 
 
 def describe_error(error: BaseException) -> str:
-    """The kind and the message of an exception, also of one that cannot say it: `ValueError: no such table`."""
+    """Return type and message of an exception, even if its message cannot be made: `ValueError: no such table`."""
     kind = type(error).__name__
     try:
         return f"{kind}: {error}"
-    except BaseException as second:  # noqa: BLE001 - a message that cannot be made is no reason to fail here
-        return f"{kind}, whose message raises {type(second).__name__}"
+    except BaseException as secondary:  # noqa: BLE001 - a broken message must not fail here
+        return f"{kind}, whose message raises {type(secondary).__name__}"
 
 
-def ended(status: int) -> str:
-    """How a process ended by its status, which is negative where a signal ended it."""
+def describe_exit(status: int) -> str:
+    """Describe how a process ended, from its status, which is negative if a signal ended it."""
     if status >= 0:
         return f"it ended its process with status {status}"
     try:
         return f"it ended its process by {signal.Signals(-status).name}"
-    except ValueError:  # signals without a name
+    except ValueError:  # the signal has no name
         return f"it ended its process by signal {-status}"
 
 
 def counted(count: int, noun: str) -> str:
-    """`1 frame`, `1,204 frames`."""
+    """Format a count: `1 frame`, `1,204 frames`."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"

@@ -1,1 +1,1 @@
-"""From numbers to what people read: text, tables, figures, the page."""
+"""Reports of a run: text, tables, figures and the page."""

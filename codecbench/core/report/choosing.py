@@ -1,4 +1,4 @@
-"""Which setting to take over each link of a run, and what keeps the others from it."""
+"""The setting to take over each link of a run, and why others fail."""
 
 from __future__ import annotations
 
@@ -11,24 +11,30 @@ from typing import Final
 
 from codecbench.core.analysis.choosing import (
     FRESH_SHARE,
-    UNTOLD,
+    IDLE_ERROR,
     Candidate,
     Demand,
     Shortfall,
     candidates,
     links_of,
-    links_read,
-    median,
+    links_with_readers,
 )
 from codecbench.core.analysis.passing import Standing
 from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.verdicts import median
 from codecbench.core.contracts.metric import FRESH_S
-from codecbench.core.report.costs import rate_cell, rate_words, spent
-from codecbench.core.report.formatting import Verdict, compact, rounded, where, without_pick
-from codecbench.core.report.tables import aligned, three_digits
+from codecbench.core.report.costs import deciding_cost, rate_cell, rate_words
+from codecbench.core.report.formatting import (
+    Verdict,
+    compact_table,
+    curves_without_pick,
+    format_percent,
+    sequence_words,
+)
+from codecbench.core.report.tables import padded_digits, three_digits
 
 _NAMED: Final = 3
-"""Settings that a cell names before it counts the rest."""
+"""Settings that a sentence names before it counts the rest."""
 _FRESH: Final = f"a pose no older than {FRESH_S:g} s at"
 _GROUPS: Final[dict[Shortfall, tuple[str, str]]] = {
     "time": ("frames in time", "have too few frames in time"),
@@ -43,123 +49,126 @@ _GROUPS: Final[dict[Shortfall, tuple[str, str]]] = {
 
 
 def candidates_over_links(run: RunResult) -> list[list[Candidate]]:
-    """The settings over each link over which something reads the frames, on all sequences together, by rate."""
-    return [groups[0] for groups in _over_each(run, Demand(""))] if links_read(run) else []
+    """The settings over each link with a reader, on all sequences together, by rate."""
+    return [groups[0] for groups in _candidates_by_link(run, Demand(""))] if links_with_readers(run) else []
 
 
-def over_links(run: RunResult) -> list[Verdict]:
-    """What a run says of each link over which something reads the frames, where nothing more is asked."""
-    return chosen(run, Demand("")) if links_read(run) else []
+def link_verdicts(run: RunResult) -> list[Verdict]:
+    """The choices over each link with a reader, without further demands."""
+    return choices(run, Demand("")) if links_with_readers(run) else []
 
 
-def chosen(run: RunResult, demand: Demand) -> list[Verdict]:
-    """What a run says of a demand over a link, or over each where that names none (""): tables, and last the answers.
+def choices(run: RunResult, demand: Demand) -> list[Verdict]:
+    """Judge a demand over its link, or over each if it names none (""): tables, and last the answers.
 
     Raises NotMeasured.
     """
-    every = _over_each(run, demand)
-    tables = [_table(run, found, is_first=found is groups[0]) for groups in every for found in groups]
-    answers = tuple(answer(run, groups[0]) for groups in every)
+    links = _candidates_by_link(run, demand)
+    tables = [_table(run, settings, is_first=settings is groups[0]) for groups in links for settings in groups]
+    answers = tuple(answer(run, groups[0]) for groups in links)
     return [*tables, Verdict("answer", (), (), answers)]
 
 
 def link_picks(run: RunResult, demand: Demand) -> list[Verdict]:
-    """The pick of each codec over a link, or a table over each, on all sequences together. Raises NotMeasured."""
-    return [_picks(run, groups[0]) for groups in _over_each(run, demand)]
+    """A table of the picks over a link, or one over each link, on all sequences together. Raises NotMeasured."""
+    return [_picks(run, groups[0]) for groups in _candidates_by_link(run, demand)]
 
 
-def _picks(run: RunResult, found: list[Candidate]) -> Verdict:
-    """A row a codec: its setting of least rate that passes and the next coarser one; if none passes, the nearest."""
+def _picks(run: RunResult, settings: list[Candidate]) -> Verdict:
+    """A row a codec: its setting of lowest rate that passes and the next coarser one; if none passes, the nearest."""
     by_curve: dict[str, list[Candidate]] = defaultdict(list)
-    for candidate in sorted(found, key=lambda candidate: candidate.verdict != "passes"):
+    for candidate in sorted(settings, key=lambda candidate: candidate.verdict != "passes"):
         by_curve[candidate.curve].append(candidate)
-    passing = {curve: own[0] for curve, own in by_curve.items() if own[0].verdict == "passes"}
-    anchors = [each for each in passing.values() if each.curve.split(" ")[0] in run.schema.anchors]
+    passing = {curve: members[0] for curve, members in by_curve.items() if members[0].verdict == "passes"}
+    anchors = [candidate for candidate in passing.values() if candidate.curve.split(" ")[0] in run.schema.anchors]
     rows = []
-    for curve, taken in (passing or {curve: _nearest(own) for curve, own in by_curve.items()}).items():
+    for curve, taken in (passing or {curve: _nearest(members) for curve, members in by_curve.items()}).items():
         row = {"codec": curve, "setting": f"{taken.point} {taken.way}".strip()}
         row |= dict([rate_cell(run, taken.sequence, curve, _setting(taken))])
         if anchors:
-            beside = "" if taken is anchors[0] else f"{rounded(_more(run, taken, anchors[0]))} %"
+            beside = "" if taken is anchors[0] else f"{format_percent(_extra_percent(run, taken, anchors[0]))} %"
             row[f"vs. {anchors[0].curve}"] = beside
-        row["error m"] = "" if math.isnan(taken.error_m) else aligned(taken.error_m)
+        row["error m"] = "" if math.isnan(taken.error_m) else padded_digits(taken.error_m)
         row["fresh"] = "" if math.isnan(taken.fresh) else _percent(taken.fresh)
         row["in time"] = "" if math.isnan(taken.share) else _percent(taken.share)
         row["runs"] = " and ".join(f"{standing.successes}/{standing.runs}" for standing in taken.standings)
         if taken.limit is None:
-            coarser = [each for each in found[: found.index(taken)] if each.curve == curve]
+            coarser = [candidate for candidate in settings[: settings.index(taken)] if candidate.curve == curve]
             row["next coarser"] = f"{coarser[-1].point} {coarser[-1].verdict}" if coarser else "none tried"
         else:
             row["verdict"] = f"{taken.verdict}: {_GROUPS[taken.limit][0]}"
         rows.append(row)
-    demand = found[0].demand
-    table = compact(
-        f"The pick of each codec over {demand.link}, {where(found[0].sequence)}, {asked_words(demand)}", rows
+    demand = settings[0].demand
+    table = compact_table(
+        f"The pick of each codec over {demand.link}, {sequence_words(settings[0].sequence)}, {demand_words(demand)}",
+        rows,
     )
     others = [curve for curve in by_curve if passing and curve not in passing]
     return replace(
         table,
         sentences=(
             *table.sentences,
-            *without_pick(
-                [curve for curve in others if all(each.verdict == "fails" for each in by_curve[curve])], others
+            *curves_without_pick(
+                [curve for curve in others if all(member.verdict == "fails" for member in by_curve[curve])], others
             ),
         ),
     )
 
 
-def _nearest(found: list[Candidate]) -> Candidate:
-    return max(found, key=lambda candidate: [standing.successes for standing in candidate.standings])
+def _nearest(settings: list[Candidate]) -> Candidate:
+    return max(settings, key=lambda candidate: [standing.successes for standing in candidate.standings])
 
 
-def _over_each(run: RunResult, demand: Demand) -> list[list[list[Candidate]]]:
+def _candidates_by_link(run: RunResult, demand: Demand) -> list[list[list[Candidate]]]:
     """Candidates by link and sequence, those of all sequences together first."""
-    able = links_read(run) if demand.deadline_ms is None else links_of(run)
-    links = [demand.link] if demand.link else able or links_of(run)[:1] or [""]
+    usable = links_with_readers(run) if demand.deadline_ms is None else links_of(run)
+    links = [demand.link] if demand.link else usable or links_of(run)[:1] or [""]
     over = (candidates(run, replace(demand, link=link)) for link in links)
-    return [[list(own) for _, own in groupby(found, key=lambda each: each.sequence)] for found in over]
+    return [
+        [list(members) for _, members in groupby(settings, key=lambda setting: setting.sequence)] for settings in over
+    ]
 
 
-def _passing(found: list[Candidate]) -> list[Candidate]:
-    return [candidate for candidate in found if candidate.verdict == "passes"]
+def _passing(settings: list[Candidate]) -> list[Candidate]:
+    return [candidate for candidate in settings if candidate.verdict == "passes"]
 
 
-def _some(names: list[str]) -> str:
+def _names_and_count(names: list[str]) -> str:
     rest = len(names) - _NAMED
     return ", ".join(names) if rest <= 1 else f"{', '.join(names[:_NAMED])} and {rest} more"
 
 
-def _table(run: RunResult, found: list[Candidate], is_first: bool) -> Verdict:
-    """is_first: of its link, so that it says the rule; the others have an answer of their own."""
-    demand = found[0].demand
+def _table(run: RunResult, settings: list[Candidate], is_first: bool) -> Verdict:
+    """is_first: whether it is the link's first table, which states the rule; others have an answer of their own."""
+    demand = settings[0].demand
     rate = "rate" if run.rate is None else f"rate [{run.rate.unit}]"
     heads = ("setting", rate, *(["in time"] if demand.deadline_ms is not None else []),
              "error [m]", "fresh pose", "runs", "verdict", "because")  # fmt: skip
-    title = f"{where(found[0].sequence)}: over {demand.link}, {asked_words(demand)}"
-    rows = tuple(tuple(_row(run, candidate)) for candidate in found)
-    return Verdict(title, heads, rows, (_rule(found) if is_first else answer(run, found), *_notes(run, found)))
+    title = f"{sequence_words(settings[0].sequence)}: over {demand.link}, {demand_words(demand)}"
+    rows = tuple(tuple(_row(run, candidate)) for candidate in settings)
+    return Verdict(title, heads, rows, (_rule(settings) if is_first else answer(run, settings), *_notes(run, settings)))
 
 
-def asked_words(demand: Demand) -> str:
-    """What is asked, without the link."""
-    asked = []
+def demand_words(demand: Demand) -> str:
+    """The demand in words, without the link."""
+    words = []
     if demand.deadline_ms is not None:
         device = "" if demand.device_factor is None else f" of a device {demand.device_factor:g} times slower"
-        asked.append(f"{100 * demand.share:g} % of the frames{device} within {demand.deadline_ms:g} ms")
+        words.append(f"{100 * demand.share:g} % of the frames{device} within {demand.deadline_ms:g} ms")
     if demand.error_m is not None:
-        asked.append(f"an error of at most {demand.error_m:g} m")
-    return " and ".join(asked) or "a smaller error than with nothing received"
+        words.append(f"an error of at most {demand.error_m:g} m")
+    return " and ".join(words) or "a smaller error than with nothing received"
 
 
-def _rule(found: list[Candidate]) -> str:
+def _rule(settings: list[Candidate]) -> str:
     """When a setting passes."""
-    error_m = found[0].demand.error_m
+    error_m = settings[0].demand.error_m
     asked = "" if error_m is None else f"at most {error_m:g} m and "
     reader = (
         f"A run succeeds with {_FRESH} {_percent(FRESH_SHARE)} of the moments or more and an error {asked}less than "
         "with nothing received (the middle of the true path)."
     )
-    is_read = any(candidate.readings for candidate in found)
+    is_read = any(candidate.readings for candidate in settings)
     passes = "A setting passes where more than half of all runs that there could be succeed, at 95 %."
     return f"{reader if is_read else 'Nothing reads the frames, so that those in time decide alone.'} {passes}"
 
@@ -186,7 +195,7 @@ def _number(value: float) -> str:
 
 
 def limit_of(candidate: Candidate) -> str:
-    """What keeps a setting from passing, in numbers; empty where it passes."""
+    """What keeps a setting from passing, in numbers; empty if it passes."""
     limit, demand = candidate.limit, candidate.demand
     if limit is None:
         return ""
@@ -211,34 +220,34 @@ def limit_of(candidate: Candidate) -> str:
     return "; ".join(filter(None, (words, more)))
 
 
-def answer(run: RunResult, found: list[Candidate]) -> str:
-    """Which of the settings over a link to take, or why none, in one sentence."""
-    demand, passing = found[0].demand, _passing(found)
+def answer(run: RunResult, settings: list[Candidate]) -> str:
+    """Which setting over a link to take, or why none, in one sentence."""
+    demand, passing = settings[0].demand, _passing(settings)
     if not passing:
-        (limit, count), *_ = Counter(candidate.limit for candidate in found).most_common()
+        (limit, count), *_ = Counter(candidate.limit for candidate in settings).most_common()
         assert limit is not None
-        alike = [candidate for candidate in found if candidate.limit == limit]
+        alike = [candidate for candidate in settings if candidate.limit == limit]
         nearest = _nearest(alike)
-        why = f"{count} of {len(found)} settings {_GROUPS[limit][1]}, such as {nearest.name}"
-        none = "passes" if all(candidate.verdict == "fails" for candidate in found) else "is known to pass"
+        why = f"{count} of {len(settings)} settings {_GROUPS[limit][1]}, such as {nearest.name}"
+        none = "passes" if all(candidate.verdict == "fails" for candidate in settings) else "is known to pass"
         return f"Nothing {none} over {demand.link}, because {why} ({limit_of(nearest)})."
     taken, sure = passing[0], passing[0].least_sure
     chance = f"passes in {sure.successes} of {sure.runs} runs (at least {100 * sure.interval[0]:.0f} % at 95 %)"
-    spent = f"{_spent(run, taken)}{_beside_anchor(run, found)}"
-    return f"Over {demand.link} use {taken.name}: {spent}; {chance}: {_facts(taken)}."
+    cost = f"{_cost_words(run, taken)}{_saving(run, settings)}"
+    return f"Over {demand.link} use {taken.name}: {cost}; {chance}: {_facts(taken)}."
 
 
-def _beside_anchor(run: RunResult, found: list[Candidate]) -> str:
+def _saving(run: RunResult, settings: list[Candidate]) -> str:
     """`, 70 % less than the smallest jpeg that passes (quality=10, 2 Mbit/s)`."""
     anchor = next(iter(run.schema.anchors), "")
-    taken = _passing(found)[0]
-    anchors = [candidate for candidate in found if candidate.curve.split(" ")[0] == anchor]
+    taken = _passing(settings)[0]
+    anchors = [candidate for candidate in settings if candidate.curve.split(" ")[0] == anchor]
     if run.rate is None:
         return ""
     if taken in anchors:
-        others = [candidate for candidate in _passing(found) if candidate not in anchors]
+        others = [candidate for candidate in _passing(settings) if candidate not in anchors]
         return (
-            f", {-_more(run, taken, others[0]):.0f} % less than the next codec that passes ({others[0].name})"
+            f", {-_extra_percent(run, taken, others[0]):.0f} % less than the next codec that passes ({others[0].name})"
             if others
             else ""
         )
@@ -247,14 +256,14 @@ def _beside_anchor(run: RunResult, found: list[Candidate]) -> str:
     smallest = next(iter(_passing(anchors)), None)
     if smallest is None:
         return f", where no {anchor} setting tried passes"
-    less = f"{-_more(run, taken, smallest):.0f} % less than the smallest {anchor} that passes"
-    return f", {less} ({smallest.point}, {_spent(run, smallest, brief=True)})"
+    less = f"{-_extra_percent(run, taken, smallest):.0f} % less than the smallest {anchor} that passes"
+    return f", {less} ({smallest.point}, {_cost_words(run, smallest, brief=True)})"
 
 
-def _more(run: RunResult, taken: Candidate, other: Candidate) -> float:
-    """By how many percent a setting spends more than another."""
-    rates = [spent(run, each.sequence, each.curve, _setting(each)) for each in (taken, other)]
-    return 100.0 * (rates[0] / rates[1] - 1.0)
+def _extra_percent(run: RunResult, taken: Candidate, other: Candidate) -> float:
+    """The additional cost of a setting against another, in percent."""
+    costs = [deciding_cost(run, setting.sequence, setting.curve, _setting(setting)) for setting in (taken, other)]
+    return 100.0 * (costs[0] / costs[1] - 1.0)
 
 
 def _setting(candidate: Candidate) -> Standing:
@@ -272,17 +281,17 @@ def _facts(taken: Candidate) -> str:
     return ", ".join([*facts, *([] if taken.readings else ["nothing reads them"])])
 
 
-def _spent(run: RunResult, candidate: Candidate, *, brief: bool = False) -> str:
+def _cost_words(run: RunResult, candidate: Candidate, *, brief: bool = False) -> str:
     if run.rate is None:
         return "its rate is not known"
     return rate_words(run, candidate.sequence, candidate.curve, _setting(candidate), brief=brief)
 
 
-def _notes(run: RunResult, found: list[Candidate]) -> Iterator[str]:
+def _notes(run: RunResult, settings: list[Candidate]) -> Iterator[str]:
     if run.rate is None:
         yield "No rate was measured, so that settings stand in the order of the matrix; add an evaluator that has one."
     missing: dict[str, list[str]] = defaultdict(list)
-    for candidate in found:
+    for candidate in settings:
         if candidate.limit == "unmeasured":
             for what in candidate.unmeasured:
                 missing[what].append(candidate.name)
@@ -291,4 +300,4 @@ def _notes(run: RunResult, found: list[Candidate]) -> Iterator[str]:
     again = f"`codecbench run MATRIX --out {run.folder} --recompute {next(readers, '')}` measures it again"
     for what, names in missing.items():
         add = "add an evaluator that measures it with the same parameters of the link"
-        yield f"{_some(names)}: {what} is not known; {again if what == UNTOLD else add}."
+        yield f"{_names_and_count(names)}: {what} is not known; {again if what == IDLE_ERROR else add}."

@@ -1,4 +1,4 @@
-"""What a setting costs, in units that people use."""
+"""The cost of a setting, in usual units."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.core.report.tables import aligned, three_digits
+from codecbench.core.report.tables import padded_digits, three_digits
 
 _FAR: Final = 10.0
-"""Times the coarsest value that was tried, up to which more is looked for."""
+"""Factor on the coarsest value tried, up to which coarser settings are proposed."""
 _ALIKE: Final = 0.01
 """Frame rates that differ by less than this share are the same."""
 
 
 def rate_words(run: RunResult, sequence: str, curve: str, test: Test, *, brief: bool = False) -> str:
-    """`0.59 Mbit/s at 30 fps (0.27 GB/h)`, or briefly the first; the rate in its own unit if no bit rate is known."""
+    """`0.59 Mbit/s at 30 fps (0.27 GB/h)`, or `0.59 Mbit/s` if brief; in the rate's unit if no bit rate is known."""
     unit, number = rate_cell(run, sequence, curve, test)
     mbps = bit_rate_mbps(run, sequence, curve, test)
     if brief or not mbps > 0.0:
         return f"{three_digits(float(number))} {unit}"
-    rows, kbps, size = _rows(run, sequence, curve, test), _of_rate(run, "kbit/s"), _of_rate(run, "bytes")
+    rows, kbps, size = _rows(run, sequence, curve, test), _rate_column(run, "kbit/s"), _rate_column(run, "bytes")
     rates_hz = np.array([]) if size is None else (rows[kbps] * 1e3 / 8.0 / rows[size]).to_numpy(float)
     at = f" at {rates_hz[0]:.3g} fps" if len(rates_hz) and np.ptp(rates_hz) < _ALIKE * rates_hz[0] else ""
     return f"{three_digits(mbps)} {unit}{at} ({three_digits(mbps * 3.6 / 8.0)} GB/h)"
@@ -36,29 +36,30 @@ def rate_words(run: RunResult, sequence: str, curve: str, test: Test, *, brief: 
 
 def bit_rate_mbps(run: RunResult, sequence: str, curve: str, test: Test) -> float:
     """The bit rate of a setting; NaN if none is known."""
-    kbps = _of_rate(run, "kbit/s")
+    kbps = _rate_column(run, "kbit/s")
     return math.nan if kbps is None else float(_rows(run, sequence, curve, test)[kbps].mean()) / 1e3
 
 
 def rate_of_setting(run: RunResult, sequence: str, codec: str, label: str) -> tuple[float, float]:
     """Kilobits a second and bytes a frame of a setting on a sequence; NaN each if not measured."""
     rows = run.wide[[row == (sequence, codec, label) for row in run.rows]]
-    kbps, size = (_of_rate(run, unit) for unit in ("kbit/s", "bytes"))
-    found = [math.nan if name is None else float(rows[name].mean()) for name in (kbps, size)]
-    return found[0], found[1]
+    kbps, size = (_rate_column(run, unit) for unit in ("kbit/s", "bytes"))
+    means = [math.nan if name is None else float(rows[name].mean()) for name in (kbps, size)]
+    return means[0], means[1]
 
 
 def rate_cell(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[str, str]:
     """The unit and the number of a setting's bit rate, or of its rate if no bit rate is known."""
     mbps = bit_rate_mbps(run, sequence, curve, test)
     if mbps > 0.0 or run.rate is None:
-        return "Mbit/s", aligned(mbps)
-    return run.rate.unit, aligned(test.rate * run.rate.factor)
+        return "Mbit/s", padded_digits(mbps)
+    return run.rate.unit, padded_digits(test.rate * run.rate.factor)
 
 
-def spent(run: RunResult, sequence: str, curve: str, test: Test) -> float:
-    """What decides between settings that pass: the bit rate, or the rate if that is not known, or milliseconds if times
-    and no task were measured."""
+def deciding_cost(run: RunResult, sequence: str, curve: str, test: Test) -> float:
+    """The cost that decides between settings that pass: the bit rate, or the rate if no bit rate is known.
+
+    It is milliseconds if times and no task were measured."""
     if times_decide(run):
         return sum(coding_ms(run, sequence, curve, test))
     mbps = bit_rate_mbps(run, sequence, curve, test)
@@ -68,11 +69,11 @@ def spent(run: RunResult, sequence: str, curve: str, test: Test) -> float:
 def coding_ms(run: RunResult, sequence: str, curve: str, test: Test) -> tuple[float, float]:
     """Wall milliseconds to encode and to decode a frame; NaN if not measured."""
     rows = _rows(run, sequence, curve, test)
-    taken = []
+    times = []
     for quantity in ("encoding", "decoding"):
         names = [name for name, column in run.columns.items() if column.metric.quantity == quantity and column.is_usual]
-        taken.append(float(rows[names[0]].mean()) if names else math.nan)
-    return taken[0], taken[1]
+        times.append(float(rows[names[0]].mean()) if names else math.nan)
+    return times[0], times[1]
 
 
 def times_decide(run: RunResult) -> bool:
@@ -96,11 +97,11 @@ def coarser_settings(run: RunResult, curve: str) -> str:
     if setting.distribution or len(points) < 2 or not name:
         return f"coarser {curve}"
     try:
-        found = plugin_schema(installed(), f"codec:{codec}").get("properties", {}).get(name, {})
+        schema = plugin_schema(installed(), f"codec:{codec}").get("properties", {}).get(name, {})
     except PluginError:
         return f"coarser {curve}"
     rises = coarsest.place > ordered[-1][1].place
-    ends = [choice.get("maximum" if rises else "minimum") for choice in (found, *found.get("anyOf", ()))]
+    ends = [choice.get("maximum" if rises else "minimum") for choice in (schema, *schema.get("anyOf", ()))]
     end = next((end for end in ends if end is not None), None)
     if end is None:
         return f"coarser {curve}"
@@ -117,9 +118,9 @@ def _rows(run: RunResult, sequence: str, curve: str, test: Test) -> pd.DataFrame
     return run.wide[[row[1:] in names and sequence in (POOLED, row[0]) for row in run.rows]]
 
 
-def _of_rate(run: RunResult, unit: str) -> str | None:
-    """The column with a unit that the evaluator of the rate measures."""
-    own = [
+def _rate_column(run: RunResult, unit: str) -> str | None:
+    """The name of the rate column with a unit, of the evaluator of the rate; None if there is none."""
+    columns = [
         (name, column) for name, column in run.columns.items() if run.rate and column.evaluator == run.rate.evaluator
     ]
-    return next((name for name, column in own if column.metric.role == "rate" and column.metric.unit == unit), None)
+    return next((name for name, column in columns if column.metric.role == "rate" and column.metric.unit == unit), None)

@@ -12,8 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from codecbench.core.analysis.columns import Column
-from codecbench.core.analysis.run_result import RunResult
+from codecbench.core.analysis.run_result import Column, RunResult
 from codecbench.core.analysis.verdicts import intervals
 from codecbench.core.contracts.errors import ParamsError
 from codecbench.core.contracts.view import Drawing
@@ -25,8 +24,8 @@ from codecbench.core.report.views import (
     PALETTE,
     STROKES,
     Bars,
+    CellDrawing,
     CurveView,
-    Drawn,
     bars_views,
     curve_views,
     first_view,
@@ -45,7 +44,7 @@ STYLE: Final[Any] = {
 
 _NAME_BYTES: Final = 200
 _NAME_LETTERS: Final = 40
-"""What is left of a longer name, before a digest of the whole."""
+"""Letters that are left of a longer name, before a digest of the whole."""
 
 _FEWEST_TICKS: Final = 3
 _MOST_TICKS: Final = 9
@@ -53,9 +52,9 @@ _HATCHES: Final = ("", "////", "||||", "xxxx")
 
 
 def draw_all(run: RunResult, folder: Path, format_: str = "svg") -> Iterator[Path]:
-    """Draw every figure that shows a difference into `folder`, and give the path of each.
+    """Draw every figure that shows a difference into `folder`, and yield the path of each.
 
-    None is drawn of a metric that is the same for all codecs of a sequence, and of paths where there is only the truth.
+    Metrics that are the same for all codecs of a sequence, and maps of only the truth, get no figure.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with plt.rc_context(STYLE):
@@ -77,29 +76,29 @@ def _figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
                 yield _file_name(entry.name, "rate", view.y.metric.name, view.y.evaluator.label), figure
     yield from map_figures(run)
     for bars in bars_views(run):
-        drawn = bars_figure(run, bars)
-        if drawn is not None:
-            yield _file_name(bars.name), drawn
+        stacks = bars_figure(run, bars)
+        if stacks is not None:
+            yield _file_name(bars.name), stacks
 
 
 def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figure | None:
-    """One line a curve, through its settings in order; None where no setting has both values.
+    """Draw one line a curve, through its settings in order; None if no setting has both values.
 
-    Bars are 95 % intervals, see `intervals`, where there are any. Baselines are level lines and bands over the range of
-    the others, whose rates they would otherwise press into a corner.
+    Error bars are 95 % confidence intervals, see `intervals`. Baselines are level lines and bands over the range of the
+    others, whose rates they would otherwise press into a corner.
     """
     ends = intervals(run, view.y)
-    beside = {run.curves[key].curve for key in run.curves if key[0] in run.schema.baselines}
+    baselines = {run.curves[key].curve for key in run.curves if key[0] in run.schema.baselines}
     lines: dict[str, list[tuple[float, float, float, float, float]]] = {}
     for row in run.wide[run.wide["sequence"] == entry.name].to_dict("records"):
-        value, place = _shown(row, view.y), run.curves[row["codec"], row["setting"]]
+        value, place = _displayed_value(row, view.y), run.curves[row["codec"], row["setting"]]
         low, high = ends.get((entry.name, row["codec"], row["setting"]), (math.nan, math.nan))
         down, up = (
             (max(0.0, value - low * view.y.factor), max(0.0, high * view.y.factor - value))
             if math.isfinite(high - low)
             else (0.0, 0.0)
         )
-        point = (place.place, _shown(row, view.x), value, down, up)
+        point = (place.place, _displayed_value(row, view.x), value, down, up)
         if all(map(math.isfinite, point[1:3])):
             lines.setdefault(place.curve, []).append(point)
     if not lines:
@@ -110,7 +109,7 @@ def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figur
     for curve, points in lines.items():
         points.sort()
         style = styles[curve]
-        if curve in beside and len(points) == 1 and not beside.issuperset(lines):
+        if curve in baselines and len(points) == 1 and not baselines.issuperset(lines):
             _, _, value, down, up = points[0]
             axes.axhspan(value - down, value + up, color=style.colour, alpha=0.15, linewidth=0)
             handles.append(axes.axhline(value, color=style.colour, linestyle=style.linestyle, linewidth=1.2))
@@ -129,7 +128,7 @@ def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figur
 
 
 def _scale(axis: Any, column: Column) -> None:
-    """The scale that a metric declares; logarithmic axes are numbered at 1, 2 and 5, at 1, or evenly: not too often."""
+    """Set the scale that a metric declares; logarithmic axes have ticks at 1, 2 and 5, at 1, or evenly spaced ones."""
     if column.metric.scale == "log":
         getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
         low, high = axis.get_view_interval()
@@ -143,15 +142,15 @@ def _scale(axis: Any, column: Column) -> None:
         axis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
-def _shown(row: dict[Any, Any], column: Column) -> float:
-    """A value of the table in the unit that people are shown."""
+def _displayed_value(row: dict[Any, Any], column: Column) -> float:
+    """A value of the table in the displayed unit."""
     return float(row[column.name]) * column.factor
 
 
 def map_figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
-    """For each sequence and codec, small multiples over its settings, first repeat."""
+    """Draw small multiples for each sequence and codec over its settings, of the first repeat."""
     for view in map_views(run):
-        groups: dict[tuple[str, str, str], list[Drawn]] = {}
+        groups: dict[tuple[str, str, str], list[CellDrawing]] = {}
         with_path = set()
         for drawn in view.drawings:
             cell = drawn.result.cell
@@ -165,7 +164,7 @@ def map_figures(run: RunResult) -> Iterator[tuple[str, Figure]]:
             yield _file_name(sequence, view.name, codec, label), _multiples(title, members)
 
 
-def _multiples(title: str, members: list[Drawn]) -> Figure:
+def _multiples(title: str, members: list[CellDrawing]) -> Figure:
     across = min(4, len(members))
     down = math.ceil(len(members) / across)
     figure, grid = plt.subplots(down, across, figsize=(max(3.6, 2.6 * across), 2.7 * down + 0.5), squeeze=False)
@@ -174,10 +173,10 @@ def _multiples(title: str, members: list[Drawn]) -> Figure:
     for axes, drawn in zip(grid.flat, members, strict=False):
         codec = drawn.result.cell.codec
         _draw(axes, codec.label or codec.name, drawn.drawing)
-    named = {
+    handles = {
         label: handle for axes in grid.flat for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    _legend_below(figure, list(named.values()), list(named), columns=3, fontsize=8)
+    _legend_below(figure, list(handles.values()), list(handles), columns=3, fontsize=8)
     figure.suptitle(title, fontsize=10)
     return figure
 
@@ -195,7 +194,7 @@ def _draw(axes: Any, name: str, drawing: Drawing) -> None:
 
 
 def bars_figure(run: RunResult, bars: Bars) -> Figure | None:
-    """Stages stacked, of the first sequence: a row of pictures a metric, one a direction; None where it has none."""
+    """Draw stacked stages of the first sequence: a row a metric, a picture a direction; None if it has none."""
     sequence = run.plan.sequences[0].name
     stacks: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     for part in bars.parts:
@@ -208,7 +207,7 @@ def bars_figure(run: RunResult, bars: Bars) -> Figure | None:
     directions = list(dict.fromkeys(part.direction for part in bars.parts))
     settings = {
         choice: list(
-            dict.fromkeys(setting for found in pictures.values() for stage in found.values() for setting in stage)
+            dict.fromkeys(setting for stages in pictures.values() for stage in stages.values() for setting in stage)
         )
         for choice, pictures in stacks.items()
     }
@@ -229,7 +228,7 @@ def bars_figure(run: RunResult, bars: Bars) -> Figure | None:
 
 
 def _legend_below(figure: Figure, handles: list[Any], names: list[str], columns: int, fontsize: int) -> None:
-    """A legend in so many columns, or as many as are no wider than the figure: names may be long."""
+    """Add a legend in so many columns, or as many as fit the figure's width: names may be long."""
     for ncols in range(columns, 0, -1):
         legend = figure.legend(handles, names, loc="outside lower center", ncols=ncols, fontsize=fontsize)
         if ncols == 1 or legend.get_window_extent().width <= figure.bbox.width:
@@ -249,7 +248,7 @@ def _stack(axes: Any, settings: list[str], stages: dict[str, dict[str, float]], 
 
 
 def _fill(at: int) -> dict[str, Any]:
-    """Colour and pattern of a stage: patterns tell apart those that share a colour."""
+    """Color and pattern of a stage; patterns distinguish those of equal color."""
     turns, colour = divmod(at, len(PALETTE))
     return {
         "facecolor": PALETTE[colour],
@@ -260,7 +259,7 @@ def _fill(at: int) -> dict[str, Any]:
 
 
 def _file_name(*parts: str) -> str:
-    """The parts that are not empty, joined by dashes, of letters and of a length that every file system takes."""
+    """Join the non-empty parts by dashes, with letters and a length that every file system allows."""
     name = "-".join(
         "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in part) for part in parts if part
     )
@@ -275,12 +274,12 @@ def one_figure(run: RunResult, what: str = "", sequence: str | None = None) -> F
     if sequence is not None and sequence not in names:
         raise ParamsError(f"the run has no sequence {sequence!r}; it has {', '.join(names)}")
     across, _, up = what.partition("-")
-    wanted = [view for view in views if _means(view.x, across) and _means(view.y, up)]
+    matches = [view for view in views if _matches(view.x, across) and _matches(view.y, up)]
     if not what:
-        wanted = [view for view in [first_view(run)] if view is not None]
+        matches = [view for view in [first_view(run)] if view is not None]
     for entry in run.plan.sequences:
         if sequence in (None, entry.name):
-            for view in wanted:
+            for view in matches:
                 with plt.rc_context(STYLE):
                     figure = curve_figure(run, entry, view)
                 if figure is not None:
@@ -290,8 +289,8 @@ def one_figure(run: RunResult, what: str = "", sequence: str | None = None) -> F
     raise ParamsError(f"no figure {what!r} of {sequence or 'any sequence'}; there are {there or 'none'}")
 
 
-def _means(column: Column, word: str) -> bool:
-    """Whether the word is in what the column is called."""
+def _matches(column: Column, word: str) -> bool:
+    """Whether the word occurs in the column's names or role."""
     return (
         word.lower()
         in f"{column.metric.name} {column.label} {column.metric.column_header} {column.metric.role}".lower()

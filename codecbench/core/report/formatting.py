@@ -1,4 +1,4 @@
-"""A ranking, and what passes at which rate, as sentences and rows for people."""
+"""Rankings, limits and statistical power, as sentences and table rows."""
 
 from __future__ import annotations
 
@@ -14,60 +14,59 @@ from typing import Final
 
 import numpy as np
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import POWER, Evidence
 from codecbench.core.analysis.limits import POOLED, Limit, criteria, limits, pooled_rates
 from codecbench.core.analysis.passing import Test
 from codecbench.core.analysis.power import LimitPower, PairPower, limit_powers, pair_powers, powers_of
 from codecbench.core.analysis.ranking import NO_COMMON_RATE, SIGNIFICANCE, Ranked, Ranking, rankings
-from codecbench.core.analysis.run_result import RunResult, successes
-from codecbench.core.analysis.verdicts import SequenceCurve
+from codecbench.core.analysis.run_result import Column, RunResult, successes
 from codecbench.core.engine.planning.search_section import PASSES
 from codecbench.core.report.tables import three_digits
 
 _NAMED: Final = 3
-"""So many sequences or pairs are named, and more are counted."""
+"""Sequences or pairs that a sentence names before it counts the rest."""
 SURE: Final = f"{100 * (1 - SIGNIFICANCE):.0f} % confidence"
 """The confidence at which a ranking calls differences significant."""
 _WIDE: Final = 50.0
-"""Percent points: an interval with a wider half is far from symmetric."""
+"""Half width in percent points from which an interval is too asymmetric for ±."""
 _LONGEST: Final = math.log(100.0)
-"""An interval that reaches from a hundredth to the hundredfold of a rate says nothing."""
+"""Half width in log rate from which an interval is left out: a hundredth to the hundredfold of a rate."""
 _FEWER: Final = 0.95
-"""Frames count as less from this share on."""
+"""Share of independent frames below which their effective number is noted."""
 _SMALLEST: Final = f"{100.0 * np.expm1(SMALLEST):.2g} %"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A title, a table (heads, rows) that may be empty, and sentences below it. about: the column that is ranked."""
+    """A title, a table (heads, rows) that may be empty, and sentences below it."""
 
     title: str
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     sentences: tuple[str, ...]
     about: Column | None = None
+    """The column of a ranking."""
 
 
-def compact(title: str, rows: Sequence[Mapping[str, str]]) -> Verdict:
-    """A table of cells by head, in the order in which heads first appear; what is the same in all rows stands below.
+def compact_table(title: str, rows: Sequence[Mapping[str, str]]) -> Verdict:
+    """Make a table of cells by head, in order of first appearance; a constant column becomes a sentence below.
 
-    Cells that a row lacks are a dash; a column of nothing else is left out, and so is one without a head.
+    Missing cells are a dash; a column of dashes or without a head is left out.
     """
     heads = list(dict.fromkeys(head for row in rows for head in row if head))
     columns = {head: [row.get(head) or "–" for row in rows] for head in heads}
     constant = {head: cells[0] for head, cells in columns.items() if len(set(cells)) == 1}
     same = {head: cell for head, cell in constant.items() if len(rows) > 1 or cell == "–"}
-    kept = {head: cells for head, cells in columns.items() if head not in same}
+    varying = {head: cells for head, cells in columns.items() if head not in same}
     words = ", ".join(f"{head} {cell}" for head, cell in same.items() if cell != "–")
     return Verdict(
-        title, tuple(kept), tuple(zip(*kept.values(), strict=True)), (f"In all rows: {words}.",) if words else ()
+        title, tuple(varying), tuple(zip(*varying.values(), strict=True)), (f"In all rows: {words}.",) if words else ()
     )
 
 
-def without_pick(failing: Sequence[str], curves: Sequence[str]) -> Iterator[str]:
-    """Of curves that have no pick, those of which each setting fails, and the others."""
+def curves_without_pick(failing: Sequence[str], curves: Sequence[str]) -> Iterator[str]:
+    """Name the curves that have no pick: those whose settings all fail, and the others."""
     open_ = [curve for curve in curves if curve not in failing]
     for words, names in (("No setting tried passes of", failing), ("No setting is known to pass of", open_)):
         if names:
@@ -75,122 +74,124 @@ def without_pick(failing: Sequence[str], curves: Sequence[str]) -> Iterator[str]
 
 
 def verdicts_at(run: RunResult, rate: float) -> list[Verdict]:
-    """Which codec to take at a rate, in the unit that people are shown, by each task."""
+    """The codec to take at a rate, in the displayed unit, by each task."""
     if run.rate is None:
         return []
     return [ranked_verdict(run, ranking) for ranking in rankings(run, at=rate / run.rate.factor)]
 
 
 def verdicts(run: RunResult, *, brief: bool = False) -> list[Verdict]:
-    """What the run decides: which codec to take by each task, then down to which rate each codec passes.
+    """The codec to take by each task, then the rate down to which each codec passes.
 
-    Each begins with all sequences together, where there are several; with `brief` that is all.
+    Each begins with all sequences together if there are several; with `brief` the rest is left out.
     """
     ranked: dict[Column, list[Verdict]] = defaultdict(list)
     for ranking in rankings(run, brief=brief):
         ranked[ranking.column].append(ranked_verdict(run, ranking))
     groups = [
         *ranked.values(),
-        *(list(_held(run, columns)) for columns in criteria(run) if columns[0].metric.role == "success"),
+        *(list(_limit_verdicts(run, columns)) for columns in criteria(run) if columns[0].metric.role == "success"),
     ]
-    return [*searched(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
+    return [*search_verdicts(run), *(verdict for group in groups for verdict in (group[:1] if brief else group))]
 
 
-def searched(run: RunResult, *, brief: bool = False) -> Iterator[Verdict]:
-    """What the searches of the matrix have found; brief: without sentences, and without what passes."""
-    searches = [found for found in run.plan.searches if not (brief and found.objective == PASSES)]
+def search_verdicts(run: RunResult, *, brief: bool = False) -> Iterator[Verdict]:
+    """The findings of the matrix's searches; brief: without sentences, and without searches for what passes."""
+    searches = [search for search in run.plan.searches if not (brief and search.objective == PASSES)]
     if searches:
         heads = ("codec", "sequence", "sought", "", "setting", "has")
         rows = tuple(
-            (found.codec, found.sequence, found.objective, found.state, found.setting or "–",
-             "–" if found.reached is None else f"{found.reached:.4g}")
-            for found in searches
+            (search.codec, search.sequence, search.objective, search.state, search.setting or "–",
+             "–" if search.reached is None else f"{search.reached:.4g}")
+            for search in searches
         )  # fmt: skip
-        yield Verdict("searches", heads, rows, () if brief else tuple(f"{found}." for found in searches))
+        yield Verdict("searches", heads, rows, () if brief else tuple(f"{search}." for search in searches))
 
 
 def ranked_verdict(run: RunResult, ranking: Ranking) -> Verdict:
     """The codec to take, what is undecided and what would decide it, below a row for each codec."""
-    title = f"{where(ranking.sequence)}: {ranking.column.label}"
+    title = f"{sequence_words(ranking.sequence)}: {ranking.column.label}"
     if not ranking.ranked:
-        own = ranking.uninformative.get(ranking.sequence)
-        reasons = uninformative(ranking) if own is None else [f"Uninformative here: {own}."]
+        reason = ranking.uninformative.get(ranking.sequence)
+        reasons = uninformative_notes(ranking) if reason is None else [f"Uninformative here: {reason}."]
         return Verdict(title, (), (), tuple(reasons), ranking.column)
     title += f", {ranking.units} {' and '.join(ranking.of)}"
-    shown: dict[str, Callable[[Ranked], str]] = {}
+    cells: dict[str, Callable[[Ranked], str]] = {}
     if ranking.rate is not None:
-        title += f", at {_spent(run, ranking.rate)}"
-        shown[ranking.column.heading] = partial(_value, ranking.column)
-        shown["setting"] = lambda ranked: setting_words(ranked.settings) or "–"
+        title += f", at {_rate_words(run, ranking.rate)}"
+        cells[ranking.column.heading] = partial(_value, ranking.column)
+        cells["setting"] = lambda ranked: setting_words(ranked.settings) or "–"
     for anchor in ranking.anchors:
-        shown[f"rate vs. {anchor}"] = partial(_beside, ranking, anchor)
+        cells[f"rate vs. {anchor}"] = partial(_rate_against, ranking, anchor)
     rows = tuple(
-        (ranked.curve, *(cell(ranked) for cell in shown.values()),
-         ", ".join(f"{other} ({_beside(ranking, other, ranked)})" for other in ranked.ahead_of) or "–")
+        (ranked.curve, *(cell(ranked) for cell in cells.values()),
+         ", ".join(f"{other} ({_rate_against(ranking, other, ranked)})" for other in ranked.ahead_of) or "–")
         for ranked in ranking.ranked
     )  # fmt: skip
-    heads = ("codec", *shown, "better than")
-    return Verdict(title, heads, rows, (_taken(run, ranking), *_undecided(ranking), *_notes(ranking)), ranking.column)
+    heads = ("codec", *cells, "better than")
+    return Verdict(
+        title, heads, rows, (_recommendation(run, ranking), *_remedies(ranking), *_notes(ranking)), ranking.column
+    )
 
 
-def signed_percent(found: Evidence, other: str = "") -> str:
-    """`-28 % ± 3 vs. jpeg`: how much more (+) or less (-) rate the first of two takes for equal quality, at 95 %.
+def signed_percent(evidence: Evidence, other: str = "") -> str:
+    """`-28 % ± 3 vs. jpeg`: the additional rate of the first of two curves for equal quality, ± half the 95 % interval.
 
     `≤ -6 %` if the difference is a bound.
     """
-    number, margin, interval = _percent(found)
-    bound = "" if not found.at_least else "≤ " if found.mean > 0.0 else "≥ "
+    number, margin, interval = _percent(evidence)
+    bound = "" if not evidence.at_least else "≤ " if evidence.mean > 0.0 else "≥ "
     return f"{bound}{number} %{margin}{other and f' vs. {other}'}{interval and f', {interval}'}"
 
 
-def less_rate(found: Evidence, other: str) -> str:
-    """`28 % ± 3 less rate than jpeg`, of the first of two curves."""
-    number, margin, interval = _percent(found)
-    words = f"{number.lstrip('+-')} %{margin} {'less' if found.mean > 0.0 else 'more'} rate than {other}"
-    return f"{'at least ' if found.at_least else ''}{words}{interval and f' ({interval})'}"
+def less_rate(evidence: Evidence, other: str) -> str:
+    """`28 % ± 3 less rate than jpeg`, for the first of two curves."""
+    number, margin, interval = _percent(evidence)
+    words = f"{number.lstrip('+-')} %{margin} {'less' if evidence.mean > 0.0 else 'more'} rate than {other}"
+    return f"{'at least ' if evidence.at_least else ''}{words}{interval and f' ({interval})'}"
 
 
-def _percent(found: Evidence) -> tuple[str, str, str]:
-    """The difference in rate, half the width of its interval in percent points, or the interval if that is wide."""
-    middle, reach = 100.0 * math.expm1(-found.mean), found.reach(0.95)
+def _percent(evidence: Evidence) -> tuple[str, str, str]:
+    """The difference in rate, half the width of its interval in percent points, or the interval if it is wide."""
+    middle, reach = 100.0 * math.expm1(-evidence.mean), evidence.reach(0.95)
     if reach > _LONGEST:
-        return rounded(middle), "", "" if found.at_least else "no interval"
-    low, high = (100.0 * math.expm1(move - found.mean) for move in (-reach, reach))
+        return format_percent(middle), "", "" if evidence.at_least else "no interval"
+    low, high = (100.0 * math.expm1(move - evidence.mean) for move in (-reach, reach))
     half = 0.5 * (high - low)
     if half > _WIDE:
-        return rounded(middle), "", f"{rounded(low)} to {rounded(high)} %"
+        return format_percent(middle), "", f"{format_percent(low)} to {format_percent(high)} %"
     digits = 0 if half >= 0.95 or half == 0.0 else min(3, math.ceil(-math.log10(half)))
     return f"{middle:+.{digits}f}", f" ± {half:.{digits}f}", ""
 
 
-def rounded(percent: float) -> str:
-    """A change in percent with its sign, in three digits at most."""
+def format_percent(percent: float) -> str:
+    """Format a change in percent with its sign, in three digits at most."""
     return "0" if abs(percent) < 0.5 else f"{float(f'{percent:.3g}'):+.0f}"
 
 
-def _beside(ranking: Ranking, other: str, ranked: Ranked) -> str:
-    found = ranking.evidence(ranked.curve, other)
-    return "–" if found is None else signed_percent(found)
+def _rate_against(ranking: Ranking, other: str, ranked: Ranked) -> str:
+    evidence = ranking.evidence(ranked.curve, other)
+    return "–" if evidence is None else signed_percent(evidence)
 
 
-def _taken(run: RunResult, ranking: Ranking) -> str:
+def _recommendation(run: RunResult, ranking: Ranking) -> str:
     """`At 0.2 bit/px take avif (quality 40–55): 28 % ± 3 less rate than jpeg.`"""
-    at = "Over all rates" if ranking.rate is None else f"At {_spent(run, ranking.rate)}"
+    at = "Over all rates" if ranking.rate is None else f"At {_rate_words(run, ranking.rate)}"
     taken, others = ranking.recommended, ranking.as_good
     settings = setting_words(taken.settings)
     known = ((ranking.evidence(taken.curve, anchor), anchor) for anchor in ranking.anchors if anchor not in others)
-    than = ", ".join(less_rate(found, anchor) for found, anchor in known if found is not None)
+    than = ", ".join(less_rate(evidence, anchor) for evidence, anchor in known if evidence is not None)
     words = f"{at} take {taken.curve}{settings and f' ({settings})'}{than and f': {than}'}"
-    every = len(others) + 1 == len(ranking.ranked)
+    is_open = len(others) + 1 == len(ranking.ranked)
     if others:
-        words += f"{';' if than else ','} or {'any other' if every and len(others) > 1 else ', '.join(others)}"
+        words += f"{';' if than else ','} or {'any other' if is_open and len(others) > 1 else ', '.join(others)}"
     if ranking.too_few:
         return f"{words}: no test is made of so few {' and '.join(ranking.of)}."
-    undecided = every and not any(ranked.ahead_of for ranked in ranking.ranked)
+    undecided = is_open and not any(ranked.ahead_of for ranked in ranking.ranked)
     return f"{words}: no significant difference ({SURE})." if undecided else f"{words}."
 
 
-def _spent(run: RunResult, rate: float) -> str:
+def _rate_words(run: RunResult, rate: float) -> str:
     assert run.rate is not None
     return f"{three_digits(rate * run.rate.factor)} {run.rate.unit}"
 
@@ -211,7 +212,7 @@ def setting_words(by_sequence: Mapping[str, tuple[str, ...]]) -> str:
 
 
 def _ends(points: Sequence[str]) -> tuple[str, str]:
-    """(`quality 40`, `55`): least and largest number of names such as `quality=55`, or the first and the last name."""
+    """(`quality 40`, `55`): least and largest value of names such as `quality=55`, or the first and the last name."""
     names, values = (list({point.rpartition("=")[at]: None for point in points}) for at in (0, 2))
     if len(names) == 1:
         with suppress(ValueError):
@@ -219,24 +220,24 @@ def _ends(points: Sequence[str]) -> tuple[str, str]:
     return points[0].replace("=", " "), points[-1].replace("=", " ")
 
 
-def _undecided(ranking: Ranking) -> Iterator[str]:
-    """What would decide between the codec to take and others that may be the best; other pairs are counted."""
+def _remedies(ranking: Ranking) -> Iterator[str]:
+    """Say what would decide between the codec to take and others that may be the best; count other pairs."""
     taken = ranking.recommended.curve
-    opened: dict[frozenset[str], PairPower] = {}
+    open_pairs: dict[frozenset[str], PairPower] = {}
     for pair in powers_of(ranking):
         if pair.remedy.kind == "equal":
             yield f"{pair.first} and {pair.second} are equal within {_SMALLEST} of rate."
         elif pair.remedy.kind != "decided":
-            opened[frozenset((pair.first, pair.second))] = pair
+            open_pairs[frozenset((pair.first, pair.second))] = pair
     if ranking.too_few:
         return
     for name in ranking.as_good:
-        found, with_taken = ranking.evidence(name, taken), opened.pop(frozenset((name, taken)), None)
-        if found and with_taken:
-            yield f"{name} undecided ({signed_percent(found, taken)}): {remedy_words(with_taken)}."
-    if opened:
-        pairs = "other pair is" if len(opened) == 1 else "other pairs are"
-        yield f"{len(opened)} {pairs} undecided: codecbench power says what would decide."
+        evidence, with_taken = ranking.evidence(name, taken), open_pairs.pop(frozenset((name, taken)), None)
+        if evidence and with_taken:
+            yield f"{name} undecided ({signed_percent(evidence, taken)}): {remedy_words(with_taken)}."
+    if open_pairs:
+        pairs = "other pair is" if len(open_pairs) == 1 else "other pairs are"
+        yield f"{len(open_pairs)} {pairs} undecided: codecbench power says what would decide."
 
 
 def remedy_words(pair: PairPower) -> str:
@@ -262,11 +263,11 @@ def _two_digits(count: float) -> str:
 
 
 def _notes(ranking: Ranking) -> Iterator[str]:
-    yield from _not_compared(ranking)
-    yield from uninformative(ranking)
+    yield from _missing_comparisons(ranking)
+    yield from uninformative_notes(ranking)
     if ranking.too_few_on:
         yield f"{sequences_are_samples(ranking)}."
-    worth = [found.worth for *_, found in ranking.pairs if found.worth < _FEWER * ranking.units]
+    worth = [evidence.worth for *_, evidence in ranking.pairs if evidence.worth < _FEWER * ranking.units]
     if worth and "frames" in ranking.of and not ranking.too_few_on:
         yield f"{ranking.units} frames count as about {_two_digits(median(worth))} independent ones."
     drifting = [f"{first} and {second}" for first, second, evidence in ranking.pairs if evidence.drifts]
@@ -287,14 +288,14 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         yield f"{curve} has no place: {reason}."
 
 
-def uninformative(ranking: Ranking) -> Iterator[str]:
-    """On which sequences the column ranks no codec, and why: a sentence each."""
+def uninformative_notes(ranking: Ranking) -> Iterator[str]:
+    """Say on which sequences the column ranks no codec, and why: a sentence each."""
     for sequence, reason in ranking.uninformative.items():
         yield f"{sequence}: {ranking.column.label} is uninformative here: {reason}."
 
 
 def sequences_are_samples(ranking: Ranking) -> str:
-    """Why a ranking over several sequences is less sure than those of each."""
+    """Say why sequences are the samples of a ranking over several."""
     few, of = ranking.too_few_on, " and ".join(ranking.of)
     if len(few) == len(ranking.sequences):
         who = "each sequence has"
@@ -305,33 +306,32 @@ def sequences_are_samples(ranking: Ranking) -> str:
     return f"The sequences are the samples, as {who} too few {of} for an error of its own"
 
 
-def _not_compared(ranking: Ranking) -> Iterator[str]:
-    """The codecs that share no rate, each pair once."""
-    named: set[str] = set()
+def _missing_comparisons(ranking: Ranking) -> Iterator[str]:
+    """Name the codecs that share no rate, each pair once."""
+    seen: set[str] = set()
     for ranked in ranking.ranked:
-        if others := [name for name in ranking.not_compared(ranked.curve) if name not in named]:
+        if others := [name for name in ranking.without_common_rate(ranked.curve) if name not in seen]:
             yield f"{ranked.curve} was not compared with {', '.join(others)}: {NO_COMMON_RATE}."
-        named.add(ranked.curve)
+        seen.add(ranked.curve)
 
 
-def where(sequence: str) -> str:
+def sequence_words(sequence: str) -> str:
     return "all sequences together" if sequence == POOLED else sequence
 
 
-def _held(run: RunResult, columns: list[Column]) -> Iterator[Verdict]:
-    """One verdict for all sequences together, where there are several, and one for each: a sentence for each curve."""
+def _limit_verdicts(run: RunResult, columns: list[Column]) -> Iterator[Verdict]:
+    """One verdict for all sequences together, if there are several, and one for each: a sentence for each curve."""
     by_sequence: dict[str, dict[str, Limit]] = defaultdict(dict)
-    found: dict[SequenceCurve, Limit] = limits(run, columns)
-    for (sequence, curve), limit in found.items():
+    for (sequence, curve), limit in limits(run, columns).items():
         by_sequence[sequence][curve] = limit
     what = " and ".join(column.label for column in columns)
     for sequence, of_curves in sorted(by_sequence.items(), key=lambda pair: pair[0] != POOLED):
         by_rate = sorted(of_curves.items(), key=lambda pair: pair[1].rate)
-        sentences = [_of_curve(run, sequence, curve, limit) for curve, limit in by_rate]
-        yield Verdict(f"{where(sequence)}: {what}", (), (), tuple(sentences))
+        sentences = [_curve_sentence(run, sequence, curve, limit) for curve, limit in by_rate]
+        yield Verdict(f"{sequence_words(sequence)}: {what}", (), (), tuple(sentences))
 
 
-def _of_curve(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
+def _curve_sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> str:
     if limit.settings and curve.split(" ")[0] in run.schema.baselines:
         return f"{curve} itself: {limit.settings[0]}."
     return limit_sentence(run, sequence, curve, limit)
@@ -343,24 +343,24 @@ def limit_sentence(run: RunResult, sequence: str, curve: str, limit: Limit) -> s
         return f"{curve}: {limit.reason or 'no run'}."
     if limit.lowest is not None:
         share = share_of_rate(run, sequence, limit.lowest.rate)
-        return f"{named(curve, limit.lowest)} passes at {share} ({limit.lowest}); {limit.after_words()}."
+        return f"{setting_name(curve, limit.lowest)} passes at {share} ({limit.lowest}); {limit.after_words()}."
     none = "passes at no setting" if limit.settings[0].verdict == "fails" else "is not known to pass at any setting"
     return f"{curve} {none}: {limit.after_words()}."
 
 
-def named(curve: str, test: Test) -> str:
-    """A setting by its codec and its own name, where that is another."""
+def setting_name(curve: str, test: Test) -> str:
+    """The codec and the setting's own name, if the setting has one."""
     return f"{curve} {test.point}".strip() if not curve.endswith(f" {test.point}") else curve
 
 
 def share_of_rate(run: RunResult, sequence: str, rate: float) -> str:
-    """A rate on a sequence, or on all (POOLED), beside the baseline's: `1/87 of raw's rate, 0.28 bit/px`."""
-    spent, raw = _spent(run, rate), baseline_rate(run, sequence)
-    return spent if raw is None or rate <= 0 or raw[1] <= rate else f"1/{raw[1] / rate:.0f} of {raw[0]}'s rate, {spent}"
+    """A rate on a sequence, or on all (POOLED), against the baseline's: `1/87 of raw's rate, 0.28 bit/px`."""
+    words, raw = _rate_words(run, rate), baseline_rate(run, sequence)
+    return words if raw is None or rate <= 0 or raw[1] <= rate else f"1/{raw[1] / rate:.0f} of {raw[0]}'s rate, {words}"
 
 
 def baseline_rate(run: RunResult, sequence: str) -> tuple[str, float] | None:
-    """The name and the rate of the baseline on a sequence, or on all (POOLED); None where it is not known."""
+    """The name and the rate of the baseline on a sequence, or on all (POOLED); None if unknown."""
     rates = pooled_rates(run) if sequence == POOLED else run.rates
     raw = [
         (codec, rate)
@@ -375,25 +375,25 @@ _LIMIT_HEADS = ("setting", "runs that succeed", "told from", "says", "would deci
 
 
 def power_verdicts(run: RunResult, power: float = POWER) -> list[Verdict]:
-    """A table for each ranking, of its pairs, and one for each sequence and success, of its settings."""
+    """A table of the pairs of each ranking, and one of the settings for each sequence and success."""
     pairs = groupby(pair_powers(run, power), key=lambda pair: (pair.column.name, pair.sequence))
-    found = [_of_pairs(list(members)) for _, members in pairs]
+    tables = [_pairs_table(list(members)) for _, members in pairs]
     for columns in successes(run):
         powers = sorted(limit_powers(run, columns, power), key=lambda limit: limit.sequence)
-        found += [_of_limits(list(members)) for _, members in groupby(powers, key=lambda limit: limit.sequence)]
-    return found
+        tables += [_limits_table(list(members)) for _, members in groupby(powers, key=lambda limit: limit.sequence)]
+    return tables
 
 
-def _of_pairs(pairs: list[PairPower]) -> Verdict:
+def _pairs_table(pairs: list[PairPower]) -> Verdict:
     first = pairs[0]
     of = " and ".join(first.of)
-    title = f"{where(first.sequence)}: {first.column.label}, {first.units} {of}, {_often(first.power)}"
+    title = f"{sequence_words(first.sequence)}: {first.column.label}, {first.units} {of}, {_power_words(first.power)}"
     rows = tuple(
         (
             f"{pair.first} vs. {pair.second}",
             signed_percent(pair.evidence),
             f"{-100.0 * math.expm1(-pair.smallest):.3g} %" if pair.smallest < _LONGEST else "–",
-            _said(pair),
+            _outcome(pair),
             remedy_words(pair),
         )
         for pair in pairs
@@ -403,29 +403,29 @@ def _of_pairs(pairs: list[PairPower]) -> Verdict:
     return Verdict(title, _PAIR_HEADS, rows, tuple(sentences))
 
 
-def _often(power: float) -> str:
+def _power_words(power: float) -> str:
     return f"found in {100.0 * power:.3g} % of cases"
 
 
-def _said(pair: PairPower) -> str:
+def _outcome(pair: PairPower) -> str:
     if pair.stands:
         return f"{pair.first if pair.difference > 0 else pair.second} is better"
     return f"equal within {_SMALLEST}" if pair.remedy.kind == "equal" else "undecided"
 
 
-def _of_limits(found: list[LimitPower]) -> Verdict:
-    first = found[0]
+def _limits_table(powers: list[LimitPower]) -> Verdict:
+    first = powers[0]
     label = " and ".join(column.label for column in first.columns)
-    title = f"{where(first.sequence)}: {label}, {_often(first.power)}"
+    title = f"{sequence_words(first.sequence)}: {label}, {_power_words(first.power)}"
     rows = tuple(
         (
             f"{limit.curve} {limit.standing.point}".strip(),
             f"{limit.standing.successes}/{limit.standing.runs}",
-            "–" if math.isnan(limit.told_from) else f"{100 * limit.told_from:.0f} %",
+            "–" if math.isnan(limit.detectable_rate) else f"{100 * limit.detectable_rate:.0f} %",
             limit.standing.verdict,
             "–" if limit.more_runs == 0 else f"{limit.more_runs} more runs at best",
         )
-        for limit in found
+        for limit in powers
     )
-    stood = sum(limit.more_runs == 0 for limit in found)
-    return Verdict(title, _LIMIT_HEADS, rows, (f"{stood} of {len(found)} verdicts stand at 95 %.",))
+    stood = sum(limit.more_runs == 0 for limit in powers)
+    return Verdict(title, _LIMIT_HEADS, rows, (f"{stood} of {len(powers)} verdicts stand at 95 %.",))

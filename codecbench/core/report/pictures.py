@@ -1,4 +1,4 @@
-"""Pictures of the report: frames of settings in order of rate."""
+"""The frames that the report shows, by setting in order of rate."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from codecbench.core.analysis.replanning import SAME_PLACE, relocated
+from codecbench.core.analysis.replanning import SAME_PLACE, relocate
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError
 from codecbench.core.contracts.evaluator import CodedFrame
@@ -33,39 +33,39 @@ from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.engine.text import clean_line
 from codecbench.core.report.tables import three_digits
-from codecbench.core.report.views import picked
+from codecbench.core.report.views import answer_picks
 
 log = logging.getLogger("codecbench.report")
 
 _SETTINGS_A_SEQUENCE: Final = 64
-"""Settings whose pictures the page shows of one sequence, spread over the rates."""
+"""Settings of a sequence whose frames the page shows, spread over the rates."""
 _MOST_FRAMES: Final = 5
-"""Of one setting."""
+"""Frames of one setting."""
 _VIEWS: Final = 72
-"""As many of all settings as there are frames for, where each has several."""
+"""Frames of all settings together, above which settings have fewer than _MOST_FRAMES."""
 _BYTES_A_PIXEL: Final = 0.9
-"""What a pixel of a view takes of the page, about."""
+"""Approximate bytes on the page of a pixel of a view."""
 _LEAST_SIZE: Final = (360, 270)
 _MOST_SIZE: Final = (640, 480)
 
 
 @dataclass(frozen=True)
 class FrameView:
-    """Data URIs of the three pictures of frame `index`, and marks.
-
-    width, height: of the pictures in pixels. kept, lost: x and y in turn of what an evaluator marks. note: what its
-    marks say of the whole frame; empty where it has none.
-    """
+    """The images of a frame as data URIs, with keypoints."""
 
     index: int
     original: str
     decoded: str
     difference: str
     width: int
+    """Of the images in pixels, as the height."""
     height: int
     kept: list[int]
+    """x and y in turn of the keypoints that are kept."""
     lost: list[int]
+    """x and y in turn of the keypoints that are lost."""
     note: str
+    """The overlay's note on the whole frame; empty if there is none."""
 
     @property
     def weight_bytes(self) -> int:
@@ -73,45 +73,45 @@ class FrameView:
 
 
 _Views = tuple[PluginSetting, float, list[FrameView]]
+"""A codec setting, its rate, and its frames."""
 
 
 def frame_pictures(
     run: RunResult, budget_bytes: int, sequences_from: str | None = None, wanted: Collection[int] = ()
 ) -> dict[str, Any]:
-    """`frames` and `originals` as the page's script takes them, ordered by rate so that neighbours compare fairly.
+    """`frames` and `originals` for the page's script, ordered by rate so that neighbors compare fairly.
 
-    sequences_from: a folder in which sequences are looked for, or `same` for where the plan says, even if the run was
-    made elsewhere; None opens only what this user's own plan names. wanted: numbers of the frames to show, each of the
-    sequences that have it; by default a few spread evenly.
-    Each sequence has an equal share of the budget; where it does not do for all settings, those of the answer stay, see
-    `picked`, and the others are thinned evenly.
+    sequences_from: a folder to search for sequences, or `same` for the plan's paths, even if the run was made
+    elsewhere; None opens only what this user's own plan names. wanted: numbers of the frames to show of the sequences
+    that have them; by default a few spread evenly. Each sequence has an equal share of the budget. If it does not
+    suffice for all settings, those of the answer stay, see `answer_picks`, and the others are thinned evenly.
     """
     originals: list[dict[str, Any]] = []
     frames: list[dict[str, Any]] = []
     share = budget_bytes // max(1, len(run.plan.sequences))
     marker, plugins = _marker(run), Workbench(limit_s)
-    first = [(pick.codec, pick.setting) for pick in picked(run)]
+    first = [(pick.codec, pick.setting) for pick in answer_picks(run)]
     for entry in run.plan.sequences:
-        chosen = _chosen(run, entry, first)
-        if chosen and not _holds_bitstreams(run, entry, chosen):
+        settings = _settings_by_rate(run, entry, first)
+        if settings and not _has_bitstreams(run, entry, settings):
             log.warning("no images of %s: the run folder holds no bitstreams, as of a bundle without them", entry.name)
             continue
         params = _dataset_params(run, entry, sequences_from)
         if params is None:
             continue
-        shape = _shape(entry.frames, len(chosen), len(run.plan.sequences), share, wanted)
+        shape = _shape(entry.frames, len(settings), len(run.plan.sequences), share, wanted)
         views = [
-            (setting, rate, found)
-            for setting, rate in chosen
-            if (found := _views(run, entry, params, setting, shape, marker, plugins))
+            (setting, rate, views_of_setting)
+            for setting, rate in settings
+            if (views_of_setting := _views(run, entry, params, setting, shape, marker, plugins))
         ]
         places: dict[int, int] = {}
-        shown = _thinned(views, share, first)
-        if len(shown) < len(views):
-            log.warning("images of %d of %d settings on %s fit on the page", len(shown), len(views), entry.name)
-        for setting, rate, found in shown:
-            spent = " · ".join(filter(None, (_spent(run, rate), f"{setting.name} {setting.label}".strip())))
-            for view in found:
+        fitting = _fit(views, share, first)
+        if len(fitting) < len(views):
+            log.warning("images of %d of %d settings on %s fit on the page", len(fitting), len(views), entry.name)
+        for setting, rate, views_of_setting in fitting:
+            title = " · ".join(filter(None, (_rate_words(run, rate), f"{setting.name} {setting.label}".strip())))
+            for view in views_of_setting:
                 if view.index not in places:
                     places[view.index] = len(originals)
                     originals.append({"picture": view.original, "width": view.width, "height": view.height})
@@ -120,7 +120,7 @@ def frame_pictures(
                         "sequence": entry.name,
                         "codec": setting.name,
                         "setting": setting.label,
-                        "title": spent,
+                        "title": title,
                         "frame": view.index,
                         "original": places[view.index],
                         "decoded": view.decoded,
@@ -136,14 +136,15 @@ def frame_pictures(
 
 @dataclass(frozen=True)
 class _Shape:
-    """Which frames are shown of each setting, and how much of them (width, height)."""
+    """Which frames of each setting the page shows."""
 
     indices: list[int]
     size: tuple[int, int]
+    """Width and height of the part of a frame that is shown."""
 
 
 def _shape(frames: int, settings: int, sequences: int, budget_bytes: int, wanted: Collection[int]) -> _Shape:
-    """The frames that are wanted, or as many as there is room for, and as much of them as the budget allows."""
+    """Choose the wanted frames, or as many as fit, and as large a part of them as the budget allows."""
     count = min(frames, max(1, min(_MOST_FRAMES, _VIEWS // max(1, settings * sequences))))
     spread = [int(frames * (place + 0.5) / count) for place in range(count)]
     indices = sorted({index for index in wanted if index < frames}) if wanted else spread
@@ -163,11 +164,11 @@ def _marker(run: RunResult) -> PluginSetting | None:
 
 
 _Names = list[tuple[str, str]]
-"""Codecs and settings, the most wanted first."""
+"""Codecs and settings, the most important first."""
 
 
-def _chosen(run: RunResult, entry: SequenceEntry, first: _Names) -> list[tuple[PluginSetting, float]]:
-    """Codec settings but the baseline's by rising rate, those of unknown rate last, as many as may be."""
+def _settings_by_rate(run: RunResult, entry: SequenceEntry, first: _Names) -> list[tuple[PluginSetting, float]]:
+    """Codec settings except the baseline's by rising rate, those of unknown rate last, up to _SETTINGS_A_SEQUENCE."""
     settings = {(r.cell.codec.name, r.cell.codec.label): r.cell.codec for r in run.results}
     known = [
         (rate, settings[codec, label])
@@ -175,47 +176,47 @@ def _chosen(run: RunResult, entry: SequenceEntry, first: _Names) -> list[tuple[P
         if sequence == entry.name and codec not in run.schema.baselines
     ]
     known.sort(key=lambda pair: (np.isnan(pair[0]), pair[0]))
-    kept = _kept([(setting.name, setting.label) for _, setting in known], _SETTINGS_A_SEQUENCE, first)
-    return [(known[place][1], known[place][0]) for place in kept]
+    places = _select([(setting.name, setting.label) for _, setting in known], _SETTINGS_A_SEQUENCE, first)
+    return [(known[place][1], known[place][0]) for place in places]
 
 
-def _kept(names: _Names, count: int, first: _Names) -> list[int]:
-    """Places of `count` of the names, in order: those that stand in `first`, and of the others some, spread evenly."""
-    kept = [names.index(name) for name in first if name in names][:count]
-    others = [place for place in range(len(names)) if place not in kept]
-    spread = np.linspace(0, len(others) - 1, min(len(others), count - len(kept))).round().astype(int)
-    return sorted([*kept, *(others[place] for place in spread)])
+def _select(names: _Names, count: int, first: _Names) -> list[int]:
+    """Select the places of `count` names, in order: those in `first`, and of the others some, spread evenly."""
+    places = [names.index(name) for name in first if name in names][:count]
+    others = [place for place in range(len(names)) if place not in places]
+    spread = np.linspace(0, len(others) - 1, min(len(others), count - len(places))).round().astype(int)
+    return sorted([*places, *(others[place] for place in spread)])
 
 
-def _holds_bitstreams(run: RunResult, entry: SequenceEntry, chosen: list[tuple[PluginSetting, float]]) -> bool:
-    """Whether there is anything to decode of a sequence."""
+def _has_bitstreams(run: RunResult, entry: SequenceEntry, chosen: list[tuple[PluginSetting, float]]) -> bool:
+    """Whether the run folder has a bitstream of a sequence."""
     store = Store(run.folder)
     return any(store.coded_path(coding_id(entry, setting)).exists() for setting, _ in chosen)
 
 
-def _spent(run: RunResult, rate: float) -> str:
-    """A rate for people; nothing where it is not known."""
+def _rate_words(run: RunResult, rate: float) -> str:
+    """A rate with its unit; empty if unknown."""
     return "" if run.rate is None or np.isnan(rate) else f"{three_digits(rate * run.rate.factor)} {run.rate.unit}"
 
 
-def _thinned(views: list[_Views], budget_bytes: int, first: _Names) -> list[_Views]:
-    """As many settings as the budget allows, see `_kept`."""
+def _fit(views: list[_Views], budget_bytes: int, first: _Names) -> list[_Views]:
+    """Select as many settings as the budget allows, see `_select`."""
     names = [(setting.name, setting.label) for setting, *_ in views]
     count = len(views)
     while count:
-        chosen = [views[place] for place in _kept(names, count, first)]
-        originals = sum(len(view.original) for view in chosen[0][2])
-        if originals + sum(view.weight_bytes for *_, found in chosen for view in found) <= budget_bytes:
-            return chosen
+        selected = [views[place] for place in _select(names, count, first)]
+        originals = sum(len(view.original) for view in selected[0][2])
+        if originals + sum(view.weight_bytes for *_, frames in selected for view in frames) <= budget_bytes:
+            return selected
         count -= 1
     return []
 
 
 def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | None) -> dict[str, Any] | None:
-    """The parameters to open a sequence with; None, with a line in the log, where it may not be opened."""
+    """The parameters to open a sequence with; None, with a line in the log, if it may not be opened."""
     try:
         if sequences_from not in (None, SAME_PLACE):
-            return {name: relocated(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
+            return {name: relocate(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
         elsewhere = PlanFile(run.folder).origin_elsewhere() if sequences_from is None else None
         if elsewhere is not None:
             message = f"the run was made in {elsewhere}, so the sequences that its plan names are not opened"
@@ -235,9 +236,9 @@ def _views(
     marker: PluginSetting | None,
     plugins: Workbench,
 ) -> list[FrameView]:
-    """Frames of a sequence under a setting; none, with a line in the log, where they cannot be made again."""
+    """Decode frames of a sequence under a setting; none, with a line in the log, if that fails."""
     job_id = coding_id(entry, setting)
-    found = []
+    frames = []
     try:
         sequence = plugins.sequence(replace(entry, dataset=replace(entry.dataset, params=params)), MOST_BYTES)
         bitstreams = BitstreamFile(Store(run.folder).coded_path(job_id).absolute(), job_id)
@@ -245,29 +246,29 @@ def _views(
         evaluator = plugins.create(marker, job_id) if marker else None
         for index in shape.indices:
             frame = coded.frame(index)
-            found.append(frame_view(frame, index, shape.size, evaluator.marks(frame) if evaluator else None))
+            frames.append(frame_view(frame, index, shape.size, evaluator.marks(frame) if evaluator else None))
     except (CodecbenchError, IndexError, OSError, ValueError) as error:
         where = f"{setting.name} {setting.label} on {entry.name}"
         log.warning("no image of %s: %s", where, clean_line(str(error)))
         return []
     finally:
         plugins.tidy()
-    return found
+    return frames
 
 
 _WEBP_QUALITY: Final = 82
 _DIFFERENCE_QUALITY: Final = 60
 _GAIN: Final = 4
-"""Differences of gray are shown this many times stronger, around middle gray."""
+"""Factor on differences of gray, which are shown around middle gray."""
 
 
 def frame_view(coded: CodedFrame, index: int, size: tuple[int, int], marks: KeypointOverlay | None = None) -> FrameView:
-    """The middle of a coded frame, `size` (width, height) of it at most, at one pixel a pixel. marks: of all of it."""
+    """Cut out the middle of a coded frame, at most `size` (width, height), unscaled. marks: of the whole frame."""
     top, left, height, width = _middle(coded.original.image, size)
-    shown = slice(top, top + height), slice(left, left + width)
-    original, decoded = (np.ascontiguousarray(image[shown]) for image in (coded.original.image, coded.decoded))
+    part = slice(top, top + height), slice(left, left + width)
+    original, decoded = (np.ascontiguousarray(image[part]) for image in (coded.original.image, coded.decoded))
     difference = 128 + _GAIN * (gray_from_image(decoded).astype(np.int16) - gray_from_image(original))
-    kept, lost = ([], []) if marks is None else (_inside(marks, found, shown) for found in (True, False))
+    kept, lost = ([], []) if marks is None else (_inside(marks, is_kept, part) for is_kept in (True, False))
     return FrameView(
         index,
         _uri(original, _WEBP_QUALITY),
@@ -282,15 +283,15 @@ def frame_view(coded: CodedFrame, index: int, size: tuple[int, int], marks: Keyp
 
 
 def _middle(image: Image, size: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Top, left, height and width of what is shown."""
-    width, height = (min(limit, own) for limit, own in zip(size, image.shape[1::-1], strict=True))
+    """Top, left, height and width of the middle part of an image."""
+    width, height = (min(limit, side) for limit, side in zip(size, image.shape[1::-1], strict=True))
     return (image.shape[0] - height) // 2, (image.shape[1] - width) // 2, height, width
 
 
-def _inside(marks: KeypointOverlay, found: bool, shown: tuple[slice, slice]) -> list[int]:
-    """The marks that are kept, or those that are lost, in pixels of the part that is shown."""
-    rows, columns = shown
-    places = np.rint(marks.places[marks.kept == found] - [columns.start, rows.start]).astype(int)
+def _inside(marks: KeypointOverlay, is_kept: bool, part: tuple[slice, slice]) -> list[int]:
+    """The marks that are kept, or those that are lost, in pixels of a part of the frame."""
+    rows, columns = part
+    places = np.rint(marks.places[marks.kept == is_kept] - [columns.start, rows.start]).astype(int)
     limits = np.array([columns.stop - columns.start, rows.stop - rows.start])
     within: list[int] = places[((places >= 0) & (places < limits)).all(axis=1)].ravel().tolist()
     return within

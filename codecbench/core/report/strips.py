@@ -1,4 +1,4 @@
-"""A strip for each codec: all settings that were tried over what they spend, which of them pass, and the pick."""
+"""A strip for each codec: all settings tried over their cost, with their verdicts and the pick."""
 
 from __future__ import annotations
 
@@ -9,135 +9,144 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Final
 
-from codecbench.core.analysis.passing import Passing, Standing, described
+from codecbench.core.analysis.passing import Passing, Standing, describe
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.report.answers import Answers, anchor_of
 from codecbench.core.report.choosing import candidates_over_links, limit_of
-from codecbench.core.report.costs import bit_rate_mbps, coding_ms, rate_cell, spent, times_decide
+from codecbench.core.report.costs import bit_rate_mbps, coding_ms, deciding_cost, rate_cell, times_decide
 from codecbench.core.report.tables import three_digits
 
 _MARGIN: Final = 0.05
-"""Of the axis that stays free at either end."""
+"""Share of the axis that stays free at either end."""
 _TIME: Final = "ms"
 _NARROWEST: Final = 4.0
-"""An axis spans this factor at least: settings that are close together are shown close together."""
+"""Least factor that an axis spans, so that settings of similar cost appear close together."""
 _MOST_TICKS: Final = 6
 _STEPS: Final = ((1,), (1, 3), (1, 2, 5), tuple(range(1, 10)))
-"""Where numbers may stand on the axis, times powers of ten; the first that gives three of them is taken."""
+"""Ticks of the axis, times powers of ten; the first that gives three of them is used."""
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A setting of a codec. place: percent of the axis; None if what it spends is not known. words: what was found."""
+    """A setting of a codec on the axis."""
 
     setting: str
     verdict: Passing
     words: str
+    """The setting, its cost and its verdict."""
     place: float | None
+    """Percent of the axis; None if its cost is unknown."""
     is_pick: bool
 
 
 @dataclass(frozen=True)
 class Row:
-    """A codec. pick: the setting to take. cost: what it spends, or that there is none. after: the first setting that is
-    not known to pass. saved: beside the pick of the anchor. marks: from the most that is spent to the least.
-    """
+    """The strip of a codec."""
 
     curve: str
     pick: str
+    """The setting to take."""
     cost: str
+    """Of the pick, or that there is none."""
     saved: str
+    """The difference from the cost of the anchor's pick."""
     after: str
+    """The first setting after the pick that does not pass, in words."""
     marks: tuple[Mark, ...]
+    """From the highest cost to the lowest."""
 
     @property
     def words(self) -> str:
-        """What the marks show, for who does not see them: `a, b: passes; c: fails`."""
+        """The verdicts of the marks as text: `a, b: passes; c: fails`."""
         groups = groupby(self.marks, key=lambda mark: mark.verdict)
         return "; ".join(f"{', '.join(mark.setting for mark in marks)}: {verdict}" for verdict, marks in groups)
 
 
 @dataclass(frozen=True)
 class Strips:
-    """Rows in the order of the answer, above one logarithmic axis in a unit. ticks: percent of the axis, and text."""
+    """Rows in the order of the answer, above one logarithmic axis."""
 
     about: str
     unit: str
     ticks: tuple[tuple[float | None, str], ...]
+    """Percent of the axis, and text."""
     rows: tuple[Row, ...]
 
 
 @dataclass(frozen=True)
-class _Tried:
-    """A setting that was tried. value: what it spends, NaN if that is not known. why: what was found, in words."""
+class _Trial:
+    """A setting that was tried."""
 
     setting: str
     value: float
+    """Its cost; NaN if unknown."""
     verdict: Passing
     why: str
+    """The reason of the verdict, in words."""
 
 
 @dataclass(frozen=True)
 class _Sweep:
-    """All that was tried of a curve, from the most that is spent to the least. after: what is known beyond the pick."""
+    """The trials of a curve, from the highest cost to the lowest."""
 
     curve: str
-    tried: tuple[_Tried, ...]
-    pick: _Tried | None
+    trials: tuple[_Trial, ...]
+    pick: _Trial | None
     after: str
+    """The first setting after the pick that does not pass, in words."""
 
 
-def strips(run: RunResult, found: Answers) -> Strips | None:
-    """The strips of an answer; None where no setting was judged."""
-    if not found.answers:
+def strips(run: RunResult, answers: Answers) -> Strips | None:
+    """The strips of an answer; None if no setting was judged."""
+    if not answers.answers:
         return None
-    unit, values = _spent(run, found)
+    unit, values = _costs(run, answers)
     sweeps = []
-    for each in found.answers:
-        tried = tuple(
-            _Tried(test.point or "its setting", values[each.curve, test.point], test.verdict, described(test))
-            for test in each.limit.settings
+    for answer in answers.answers:
+        curve, limit = answer.curve, answer.limit
+        trials = tuple(
+            _Trial(test.point or "its setting", values[curve, test.point], test.verdict, describe(test))
+            for test in limit.settings
         )
-        at = None if each.limit.lowest is None else each.limit.settings.index(each.limit.lowest)
-        after = each.limit.reason or (each.limit.after_words() if each.limit.settings else "no run")
-        sweeps.append(_Sweep(each.curve, tried, None if at is None else tried[at], after))
-    anchor = anchor_of(run, found)
-    return _drawn(found.about, unit, sweeps, "" if anchor is None else anchor.curve)
+        at = None if limit.lowest is None else limit.settings.index(limit.lowest)
+        after = limit.reason or (limit.after_words() if limit.settings else "no run")
+        sweeps.append(_Sweep(curve, trials, None if at is None else trials[at], after))
+    anchor = anchor_of(run, answers)
+    return _lay_out(answers.about, unit, sweeps, "" if anchor is None else anchor.curve)
 
 
 def link_strips(run: RunResult) -> list[Strips]:
-    """The strips over each link by which a run is judged, over all sequences together."""
-    found = []
-    for own in candidates_over_links(run):
-        unit, of_curve = "", defaultdict[str, list[_Tried]](list)
-        for each in own:
-            setting = Standing(each.point, each.rate, 0, 0)
-            unit, _ = rate_cell(run, each.sequence, each.curve, setting)
+    """The strips over each link with a reader, over all sequences together."""
+    by_link = []
+    for settings in candidates_over_links(run):
+        unit, of_curve = "", defaultdict[str, list[_Trial]](list)
+        for candidate in settings:
+            setting = Standing(candidate.point, candidate.rate, 0, 0)
+            unit, _ = rate_cell(run, candidate.sequence, candidate.curve, setting)
             factor = 1.0 if unit == "Mbit/s" or run.rate is None else run.rate.factor
-            value = factor * spent(run, each.sequence, each.curve, setting)
-            name = " ".join(filter(None, (each.point, each.way))) or "its setting"
-            tried = _Tried(name, value, each.verdict, limit_of(each))
-            of_curve[each.curve].insert(0, tried)
-        sweeps = [_over_link(curve, tuple(tried)) for curve, tried in of_curve.items()]
+            value = factor * deciding_cost(run, candidate.sequence, candidate.curve, setting)
+            name = " ".join(filter(None, (candidate.point, candidate.way))) or "its setting"
+            of_curve[candidate.curve].insert(0, _Trial(name, value, candidate.verdict, limit_of(candidate)))
+        sweeps = [_sweep_over_link(curve, tuple(trials)) for curve, trials in of_curve.items()]
         sweeps.sort(key=lambda sweep: math.inf if sweep.pick is None else sweep.pick.value)
         picked = [sweep.curve for sweep in sweeps if sweep.pick is not None]
         base = next((curve for curve in picked if curve.split(" ")[0] in run.schema.anchors), "")
-        found.append(_drawn(f"what comes over {own[0].demand.link}", unit, sweeps, base))
-    return found
+        by_link.append(_lay_out(f"what comes over {settings[0].demand.link}", unit, sweeps, base))
+    return by_link
 
 
-def _over_link(curve: str, tried: tuple[_Tried, ...]) -> _Sweep:
-    """Over a link finer settings may fail for want of room, so that the pick is the last that passes."""
-    pick = next((each for each in reversed(tried) if each.verdict == "passes"), None)
-    nearest = sorted(tried, key=lambda each: each.verdict == "fails")
-    coarser = nearest if pick is None else tried[tried.index(pick) + 1 :]
-    after = next((f"{each.setting} {each.verdict} ({each.why})" for each in coarser), "nothing coarser was tried")
-    return _Sweep(curve, tried, pick, after)
+def _sweep_over_link(curve: str, trials: tuple[_Trial, ...]) -> _Sweep:
+    """The sweep of a curve over a link; the pick is the last that passes, as finer settings may exceed the capacity."""
+    pick = next((trial for trial in reversed(trials) if trial.verdict == "passes"), None)
+    nearest = sorted(trials, key=lambda trial: trial.verdict == "fails")
+    coarser = nearest if pick is None else trials[trials.index(pick) + 1 :]
+    after = next((f"{trial.setting} {trial.verdict} ({trial.why})" for trial in coarser), "nothing coarser was tried")
+    return _Sweep(curve, trials, pick, after)
 
 
-def _drawn(about: str, unit: str, sweeps: Sequence[_Sweep], base: str) -> Strips:
-    """base: the curve beside whose pick the others' stand."""
-    axis = _Axis.around(each.value for sweep in sweeps for each in sweep.tried)
+def _lay_out(about: str, unit: str, sweeps: Sequence[_Sweep], base: str) -> Strips:
+    """Place the trials on one axis. base: the curve whose pick the others' are compared with."""
+    axis = _Axis.around(trial.value for sweep in sweeps for trial in sweep.trials)
     least = next((sweep.pick.value for sweep in sweeps if sweep.curve == base and sweep.pick), math.nan)
 
     def cost(value: float) -> str:
@@ -152,12 +161,12 @@ def _drawn(about: str, unit: str, sweeps: Sequence[_Sweep], base: str) -> Strips
 
     def row(sweep: _Sweep) -> Row:
         marks = []
-        for each in sweep.tried:
-            why = f" ({each.why})" if each.why else ""
-            words = f"{', '.join(filter(None, (each.setting, cost(each.value))))}: {each.verdict}{why}"
-            marks.append(Mark(each.setting, each.verdict, words, axis.place(each.value), each is sweep.pick))
+        for trial in sweep.trials:
+            why = f" ({trial.why})" if trial.why else ""
+            words = f"{', '.join(filter(None, (trial.setting, cost(trial.value))))}: {trial.verdict}{why}"
+            marks.append(Mark(trial.setting, trial.verdict, words, axis.place(trial.value), trial is sweep.pick))
         if sweep.pick is None:
-            fails = sweep.tried and all(each.verdict == "fails" for each in sweep.tried)
+            fails = sweep.trials and all(trial.verdict == "fails" for trial in sweep.trials)
             return Row(sweep.curve, "", "passes nowhere" if fails else "no pick", "", sweep.after, tuple(marks))
         value = sweep.pick.value
         return Row(sweep.curve, sweep.pick.setting, cost(value), saved(sweep, value), sweep.after, tuple(marks))
@@ -165,12 +174,12 @@ def _drawn(about: str, unit: str, sweeps: Sequence[_Sweep], base: str) -> Strips
     return Strips(about, unit, axis.ticks, tuple(map(row, sweeps)))
 
 
-def _spent(run: RunResult, found: Answers) -> tuple[str, dict[tuple[str, str], float]]:
-    """What each setting spends by curve and point, and the unit: what decides between them, in one unit for all."""
-    tests = {(answer.curve, test.point): test for answer in found.answers for test in answer.limit.settings}
+def _costs(run: RunResult, answers: Answers) -> tuple[str, dict[tuple[str, str], float]]:
+    """The unit, and in it the cost of each setting by curve and point that decides between settings."""
+    tests = {(answer.curve, test.point): test for answer in answers.answers for test in answer.limit.settings}
     if times_decide(run):
-        return _TIME, {key: sum(coding_ms(run, found.on, key[0], test)) for key, test in tests.items()}
-    mbps = {key: bit_rate_mbps(run, found.on, key[0], test) for key, test in tests.items()}
+        return _TIME, {key: sum(coding_ms(run, answers.on, key[0], test)) for key, test in tests.items()}
+    mbps = {key: bit_rate_mbps(run, answers.on, key[0], test) for key, test in tests.items()}
     if mbps and all(value > 0.0 for value in mbps.values()):
         return "Mbit/s", mbps
     assert run.rate is not None
@@ -193,7 +202,7 @@ class _Axis:
         return cls(low - wider - margin, high + wider + margin)
 
     def place(self, value: float) -> float | None:
-        """In percent; None of what has no logarithm."""
+        """A value's place in percent; None if it has no logarithm."""
         if not 0.0 < value < math.inf:
             return None
         return round(100.0 * (math.log10(value) - self.low) / (self.high - self.low), 2)
@@ -202,9 +211,9 @@ class _Axis:
     def ticks(self) -> tuple[tuple[float | None, str], ...]:
         powers = range(math.floor(self.low), math.ceil(self.high) + 1)
         for steps in _STEPS:
-            every = [float(f"{step}e{power}") for power in powers for step in steps]
-            inside = [value for value in every if self.low <= math.log10(value) <= self.high]
+            possible = [float(f"{step}e{power}") for power in powers for step in steps]
+            inside = [value for value in possible if self.low <= math.log10(value) <= self.high]
             if len(inside) >= 3:
                 break
-        kept = inside[:: math.ceil(len(inside) / _MOST_TICKS)]
-        return tuple((self.place(value), f"{value:g}") for value in kept)
+        thinned = inside[:: math.ceil(len(inside) / _MOST_TICKS)]
+        return tuple((self.place(value), f"{value:g}") for value in thinned)

@@ -1,4 +1,4 @@
-"""What a run offers to draw: curves by the roles of its metrics, and the views that its evaluators declare."""
+"""The views of a run and their styles: curves by the roles of its metrics, and the views that evaluators declare."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
-from codecbench.core.analysis.choosing import Demand, candidates, links_read
-from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.choosing import Demand, candidates, links_with_readers
 from codecbench.core.analysis.limits import criteria, tests_of
 from codecbench.core.analysis.passing import Level, parts
-from codecbench.core.analysis.run_result import RunResult, judged_column
+from codecbench.core.analysis.run_result import Column, RunResult, judged_column
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.view import Drawing, Stroke, View, ViewKind
 from codecbench.core.engine.identity import seed_from
@@ -31,9 +30,10 @@ class CurveView:
 
 @dataclass(frozen=True)
 class Bar:
-    """Part of a bar: what one stage takes of a metric under one codec setting."""
+    """Part of a bar: the share of one stage in a metric under one codec setting."""
 
     choice: str
+    """The label of the metric."""
     direction: str
     stage: str
     sequence: str
@@ -43,17 +43,18 @@ class Bar:
 
 @dataclass(frozen=True)
 class Bars:
-    """A view of kind `bars` with its parts. name: of the evaluator. unit: of the values."""
+    """A view of kind `bars` with its parts."""
 
     name: str
+    """Of the evaluator."""
     view: View
     unit: str
     parts: tuple[Bar, ...]
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """A drawing beside the cell that it is of."""
+class CellDrawing:
+    """A drawing and its cell."""
 
     result: CellResult
     drawing: Drawing
@@ -61,18 +62,19 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Map:
-    """A view of kind `map` with the drawings of its cells' first repeats. name: of the evaluator."""
+    """A view of kind `map` with the drawings of its cells' first repeats."""
 
     name: str
+    """Of the evaluator."""
     view: View
-    drawings: tuple[Drawn, ...]
+    drawings: tuple[CellDrawing, ...]
 
 
 def curve_views(run: RunResult) -> list[CurveView]:
-    """Curves that are offered first.
+    """The curves that the page offers, in order.
 
-    Quality and tasks over the rate, then what evaluators declare, then the first quality over times, then one task
-    over another evaluator's; where that is nothing, any headline over another.
+    These are quality and tasks over the rate, the views that evaluators declare, the first quality over times, and
+    tasks over tasks of other evaluators; if there are none of these, any headline over another.
     """
     rate, qualities, tasks = run.rate, run.headlines("quality"), run.headlines("task")
     pairs: list[tuple[str, Column, Column]] = [] if rate is None else [("", rate, y) for y in (*qualities, *tasks)]
@@ -84,50 +86,51 @@ def curve_views(run: RunResult) -> list[CurveView]:
 
 
 def first_view(run: RunResult) -> CurveView | None:
-    """The curve that is shown first: over the rate, what most settings have a value of among what is judged and asked.
+    """The curve that is shown first: over the rate, the criterion of which most settings have a value.
 
-    A search measures some of what is asked at few settings alone.
+    A search measures some criteria at few settings only.
     """
     judged = judged_column(run)
-    asked = [judged, *(column for columns in criteria(run) for column in columns)]
-    views = [view for view in curve_views(run) if view.x == run.rate and view.y in asked]
+    columns = [judged, *(column for group in criteria(run) for column in group)]
+    views = [view for view in curve_views(run) if view.x == run.rate and view.y in columns]
     values = run.wide.notna().sum()
     return max(views, key=lambda view: (values[view.y.name], view.y == judged), default=None)
 
 
 @dataclass(frozen=True)
 class Pick:
-    """A setting that the answer names of a curve: the last that passes, or where none does, what came nearest."""
+    """The setting that the answer names of a curve: the last that passes, or else the nearest."""
 
     codec: str
     setting: str
     passes: bool
 
 
-def picked(run: RunResult, link: str = "") -> list[Pick]:
-    """A setting of each curve, that of the answer first; of a run over links, those that pass over one of them."""
-    found: dict[str, tuple[str, bool]] = {}
-    if links := links_read(run):
-        able = candidates(run, Demand(link or links[0]))
-        for each in able:
-            if each.verdict == "passes" and each.sequence == able[0].sequence:
-                found.setdefault(each.curve, (each.point, True))
+def answer_picks(run: RunResult, link: str = "") -> list[Pick]:
+    """A setting of each curve, that of the answer first; for a run over links, those that pass over one of them."""
+    points: dict[str, tuple[str, bool]] = {}
+    if links := links_with_readers(run):
+        settings = candidates(run, Demand(link or links[0]))
+        for setting in settings:
+            if setting.verdict == "passes" and setting.sequence == settings[0].sequence:
+                points.setdefault(setting.curve, (setting.point, True))
     else:
-        told = answers_of_settings(run)[0].answers
-        found = {each.curve: (each.shown.point, each.shown is each.limit.lowest) for each in told if each.shown}
+        for answer in answers_of_settings(run)[0].answers:
+            if answer.setting:
+                points[answer.curve] = answer.setting.point, answer.setting is answer.limit.lowest
     keys = {(point.curve, point.point): key for key, point in run.curves.items()}
-    return [Pick(*keys[curve, point], passes) for curve, (point, passes) in found.items()]
+    return [Pick(*keys[curve, point], passes) for curve, (point, passes) in points.items()]
 
 
 def bounds(run: RunResult) -> dict[str, dict[str, float]]:
-    """What is asked of columns by name and sequence, in the unit of the table, where that is a number."""
-    found: dict[str, dict[str, float]] = {}
+    """The bounds of columns by name and sequence, in the unit of the table, as far as they are numbers."""
+    by_column: dict[str, dict[str, float]] = {}
     for columns in criteria(run):
         for (sequence, *_), test in tests_of(run, columns).items():
             for part in parts(test):
                 if isinstance(part, Level) and math.isfinite(part.bound):
-                    found.setdefault(part.column.name, {}).setdefault(sequence, part.bound)
-    return found
+                    by_column.setdefault(part.column.name, {}).setdefault(sequence, part.bound)
+    return by_column
 
 
 def _title(x: Column, y: Column) -> str:
@@ -151,7 +154,7 @@ def _declared_curves(run: RunResult) -> Iterator[tuple[str, Column, Column]]:
 
 def bars_views(run: RunResult) -> list[Bars]:
     """The bars that evaluators declare, for the stages that the run has."""
-    found = []
+    bars = []
     for title, view in _views(run, "bars"):
         columns = [
             column
@@ -164,8 +167,8 @@ def bars_views(run: RunResult) -> list[Bars]:
         ]
         parts = tuple(part for column in columns for part in _bars(run, column))
         if parts:
-            found.append(Bars(title, view, columns[0].unit, parts))
-    return found
+            bars.append(Bars(title, view, columns[0].unit, parts))
+    return bars
 
 
 def _bars(run: RunResult, column: Column) -> Iterator[Bar]:
@@ -178,17 +181,17 @@ def _bars(run: RunResult, column: Column) -> Iterator[Bar]:
 
 
 def map_views(run: RunResult) -> list[Map]:
-    """The drawings that evaluators make of what their cells left, in the order of the plan."""
-    found: dict[tuple[str, View], list[Drawn]] = {}
+    """The drawings that evaluators make of their cells, in the order of the plan."""
+    by_view: dict[tuple[str, View], list[CellDrawing]] = {}
     for title, view in _views(run, "map"):
         for result in run.of(title):
             drawing = result.drawing() if result.cell.repeat == 0 else None
             if drawing is not None and drawing.lines:
-                found.setdefault((result.cell.evaluator.name, view), []).append(Drawn(result, drawing))
+                by_view.setdefault((result.cell.evaluator.name, view), []).append(CellDrawing(result, drawing))
     order = {result.cell.id: position for position, result in enumerate(run.results)}
     return [
         Map(name, view, tuple(sorted(drawn, key=lambda drawn_cell: order[drawn_cell.result.cell.id])))
-        for (name, view), drawn in found.items()
+        for (name, view), drawn in by_view.items()
     ]
 
 
@@ -204,11 +207,11 @@ PALETTE: Final = (
     "#0072B2", "#D55E00", "#5D3A9B", "#994F00", "#009E73", "#005F6B", "#1A85FF", "#CC79A7", "#7F3B08", _ORANGE,
     "#56B4E9", "#882255",
 )  # fmt: skip
-"""Six colors of Okabe and Ito, which color-blind readers can tell apart, and six that go with them."""
+"""Six colors of Okabe and Ito, which color-blind readers can distinguish, and six that go with them."""
 _SEED: Final = 11_705_624
-"""Of the hash that gives names their colors: one by which those of examples/reference.yaml differ."""
+"""Seed of the hash from names to colors; with it those of examples/reference.yaml differ."""
 NEUTRAL: Final = "#777777"
-"""What others are compared with: baseline codecs, ground truth."""
+"""Color of references: baseline codecs, ground truth."""
 FAILED: Final = "#a02020"
 
 _MARKERS: Final = (
@@ -220,27 +223,33 @@ _DASHES: Final[tuple[tuple[float, ...], ...]] = ((), (5.0, 2.0), (1.5, 1.5), (6.
 
 @dataclass(frozen=True)
 class CurveStyle:
-    """Colour of a curve, the marker's name in matplotlib and on the page, and lengths of dashes and gaps in points."""
+    """The style of a curve."""
 
     colour: str
     marker: str
+    """Name of the marker in matplotlib."""
     symbol: str
+    """Name of the marker on the page."""
     dashes: tuple[float, ...] = ()
+    """Lengths of dashes and gaps in points."""
 
     @property
     def linestyle(self) -> tuple[float, tuple[float, ...]] | str:
-        """The dashes as matplotlib takes them."""
+        """The dashes for matplotlib."""
         return (0.0, self.dashes) if self.dashes else "-"
 
 
 @dataclass(frozen=True)
 class LineStyle:
-    """Colour, dash in matplotlib and on the page, and width in points of a drawing's line."""
+    """The style of a drawing's line."""
 
     colour: str
     dash: str
+    """The dash in matplotlib."""
     dashes: str
+    """The dash on the page."""
     width: float
+    """In points."""
 
 
 STROKES: Final[dict[Stroke, LineStyle]] = {
@@ -253,9 +262,8 @@ STROKES: Final[dict[Stroke, LineStyle]] = {
 def curve_styles(curves: Iterable[str], baselines: Iterable[str]) -> dict[str, CurveStyle]:
     """A style for every curve of a run, the same in every figure and on the page.
 
-    A codec's color is that of its name, in every run and where its plugin is not installed too. Curves of a color, of
-    one codec or of several, differ in dashes and markers, up to eight. baselines: names of codecs whose curves are
-    neutral.
+    A codec's color depends on its name alone, so that it is the same in every run. Up to eight curves of a color, of
+    one codec or of several, differ in dashes and markers. baselines: names of codecs whose curves are neutral.
     """
     neutral = set(baselines)
     styles: dict[str, CurveStyle] = {}
@@ -273,5 +281,5 @@ def curve_styles(curves: Iterable[str], baselines: Iterable[str]) -> dict[str, C
 
 
 def styles_of(run: RunResult) -> dict[str, CurveStyle]:
-    """How each curve of a run is drawn."""
+    """The style of each curve of a run."""
     return curve_styles((point.curve for point in run.curves.values()), run.schema.baselines)

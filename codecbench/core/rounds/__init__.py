@@ -1,1 +1,1 @@
-"""Loops around a run that add cells: searches, repeats until something is decided, cells that wait for others."""
+"""Rounds of a run that add cells: searches, repeats until a decision, and cells that need the results of others."""

@@ -1,10 +1,10 @@
-"""Looks for the edge of a codec on a sequence: the coarsest setting that passes what is asked of the run."""
+"""Searches the edge of a codec on a sequence: the coarsest setting that passes the run's criteria."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from codecbench.core.analysis.passing import Test, described
+from codecbench.core.analysis.passing import Test, describe
 from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
 from codecbench.core.engine.planning.search import Search
 from codecbench.core.engine.planning.search_section import PASSES
@@ -13,24 +13,28 @@ from codecbench.core.rounds.trials import Stopped, Trials, Unfinished
 
 @dataclass
 class Edge:
-    """Bisects the settings of an axis, which may go from coarse to fine or back: the rates of those tried say.
+    """Bisects the settings of an axis, whose direction follows from the rates of those tried.
 
-    First by means over frames, which one cell gives; then by success, whose several runs only that setting has which is
-    the edge by then, and finer ones where it does not succeed. in_time: whether more may be asked for. tried: what is
-    known of each place. low, high: the edge lies between them, counted from the coarsest; proven: high passes in all.
+    It first bisects by means over frames, for which one cell suffices. Then it bisects by success, which takes several
+    runs: only of the edge by means, and of finer settings if that fails.
     """
 
     search: Search
     sequence: str
     trials: Trials
     in_time: bool = True
+    """Whether it may request more cells."""
     tried: dict[int, Test] = field(default_factory=dict)
+    """Tests by the place of a setting on the axis."""
     low: int = -1
+    """Place, from the coarsest setting, of the last that does not pass."""
     high: int = 0
+    """Place, from the coarsest setting, of the first that passes."""
     proven: bool = False
+    """Whether `high` passes in all stages."""
 
     def result(self) -> tuple[SearchFinding, PluginSetting | None]:
-        """What was found by now, and the setting that every evaluator is to look at; `trials` is asked for the rest."""
+        """The finding so far, and the setting for every evaluator; requests missing cells from `trials`."""
         self.high = len(self.search.settings)
         try:
             stages = self.trials.stages(self.sequence)
@@ -38,14 +42,14 @@ class Edge:
                 self.proven = succeeding == stages[-1]
                 self._bisect(succeeding=succeeding, first_at_low=len(stages) > 1 and succeeding)
         except Unfinished:
-            return self._unfinished()
+            return self._partial()
         except Stopped as stop:
             return self._finding("stopped", None, f"stopped, {stop}; the next run tries that again"), None
-        return self._found()
+        return self._final()
 
     def _bisect(self, *, succeeding: bool, first_at_low: bool) -> None:
         passing: set[int] = set()
-        asked = False
+        has_tried = False
         while True:
             order = list(enumerate(self._order))
             failing = [at for at, place in order if place in self.tried and self.tried[place].verdict != "passes"]
@@ -53,9 +57,9 @@ class Edge:
             self.high = min((at for at, place in order if place in passing and at > self.low), default=len(order))
             if self.high - self.low < 2:
                 return
-            at = self.low + 1 if first_at_low and not asked else (self.low + self.high) // 2
-            place, asked = order[at][1], True
-            self.tried[place] = self.trials.judged(self.sequence, self.search.settings[place], succeeding=succeeding)
+            at = self.low + 1 if first_at_low and not has_tried else (self.low + self.high) // 2
+            place, has_tried = order[at][1], True
+            self.tried[place] = self.trials.judge(self.sequence, self.search.settings[place], succeeding=succeeding)
             if self.tried[place].verdict == "passes":
                 passing.add(place)
 
@@ -66,16 +70,16 @@ class Edge:
         falling = self.tried and self.tried[max(self.tried)].rate < self.tried[min(self.tried)].rate
         return places[::-1] if falling else places
 
-    def _found(self) -> tuple[SearchFinding, PluginSetting | None]:
+    def _final(self) -> tuple[SearchFinding, PluginSetting | None]:
         order = self._order
         if self.high == len(order):
-            return self._finding("unreachable", None, f"no setting passes: {self._told(order[-1])}"), None
-        words = self._told(order[self.high])
-        words += f"; {self._told(order[self.low])}" if self.low >= 0 else "; that is the end of the axis"
+            return self._finding("unreachable", None, f"no setting passes: {self._describe(order[-1])}"), None
+        words = self._describe(order[self.high])
+        words += f"; {self._describe(order[self.low])}" if self.low >= 0 else "; that is the end of the axis"
         setting = self.search.settings[order[self.high]]
         return self._finding("found", setting, words), setting
 
-    def _unfinished(self) -> tuple[SearchFinding, PluginSetting | None]:
+    def _partial(self) -> tuple[SearchFinding, PluginSetting | None]:
         order = self._order
         ends = dict.fromkeys(self.search.settings[order[at]].label for at in (self.low + 1, self.high - 1))
         if self.in_time:
@@ -84,12 +88,12 @@ class Edge:
         if not self.proven or self.high == len(order):
             return self._finding("stopped", None, words), None
         setting = self.search.settings[order[self.high]]
-        return self._finding("stopped", setting, f"{words}; {self._told(order[self.high])}"), setting
+        return self._finding("stopped", setting, f"{words}; {self._describe(order[self.high])}"), setting
 
-    def _told(self, place: int) -> str:
+    def _describe(self, place: int) -> str:
         test = self.tried[place]
-        said = "is inconclusive, which counts as failing" if test.verdict == "inconclusive" else test.verdict
-        return f"{self.search.settings[place].label} {said} ({described(test)})"
+        verdict = "is inconclusive, which counts as failing" if test.verdict == "inconclusive" else test.verdict
+        return f"{self.search.settings[place].label} {verdict} ({describe(test)})"
 
     def _finding(self, state: SearchState, setting: PluginSetting | None, words: str) -> SearchFinding:
         label = setting.label if setting is not None else ""

@@ -1,4 +1,4 @@
-"""Goes through a search on a sequence again, as far as the records of its trials lead, and says what it has found."""
+"""Searches the parameters of a codec on a sequence, as far as the records of its trials allow."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final, Literal, TypeVar
 
 import numpy as np
 
-from codecbench.core.analysis.columns import Column
+from codecbench.core.analysis.run_result import Column
 from codecbench.core.engine.planning.model import PluginSetting, SearchFinding, SearchState
 from codecbench.core.engine.planning.objective import Objective
 from codecbench.core.engine.planning.search import Search
@@ -20,27 +20,28 @@ A = TypeVar("A")
 E = TypeVar("E")
 
 _SHOWN: Final = 5
-"""Trials against the direction that are named."""
+"""Trials that a finding names of those against the direction."""
 
 
 @dataclass
-class Searching:
-    """A search on a sequence. in_time: whether it may ask for more. tried: what is known of each place, in the order in
-    which they were tried."""
+class ParameterSearch:
+    """A search on a sequence, which repeats from its start with the records that there are."""
 
     search: Search
     sequence: str
     trials: Trials
     seed: int
     in_time: bool = True
+    """Whether it may request more cells."""
     tried: dict[int, Trial] = field(default_factory=dict)
+    """Trials by the place of a setting, in the order of the search."""
 
     def result(self) -> tuple[SearchFinding, PluginSetting | None]:
-        """What was found by now, and the setting that every evaluator is to look at; `trials` is asked for the rest."""
+        """The finding so far, and the setting for every evaluator; requests missing cells from `trials`."""
         try:
             if len(self.search.axes) > 1:
                 self._follow(sampling(self.search.lengths, self.search.budget, self.seed), self._score)
-                return self._of_several()
+                return self._best_of_several()
             ended = self._follow(bisection(len(self.search.settings), self.search.budget), self._side)
             return self._nearest(ended) if self._objective.bound == "equal" else self._boundary(ended)
         except Unfinished:
@@ -56,7 +57,7 @@ class Searching:
         return self.search.objective
 
     def _follow(self, questions: Generator[list[int], dict[int, A], E], answer: Callable[[int], A]) -> E:
-        """Answer questions to their end. Raises Unfinished once all of a question are asked for, and Stopped."""
+        """Answer questions to their end. Raises Stopped, and Unfinished after requesting all cells of a question."""
         try:
             places = next(questions)
             while True:
@@ -102,15 +103,15 @@ class Searching:
         return Score(self._least(place), violation)
 
     def _least(self, place: int) -> float:
-        """What a setting spends; 0 where nothing measures that."""
+        """The value of a setting that is to be least; 0 if the search has none."""
         if self.search.least is None:
             return 0.0
         evaluator, metric = self.search.least
         column = Column(evaluator, metric, "", metric.aggregates[0])
-        value = self.trials.shown(self.sequence, self.search.settings[place], column)
+        value = self.trials.table_value(self.sequence, self.search.settings[place], column)
         return math.inf if math.isnan(value) else value
 
-    def _nearest(self, ended: Bisected | None) -> tuple[SearchFinding, PluginSetting | None]:
+    def _nearest(self, ended: BisectionResult | None) -> tuple[SearchFinding, PluginSetting | None]:
         """The setting that comes nearest to an objective."""
         objective = self._objective
         place = min(self.tried, key=lambda place: (objective.distance(self.tried[place].value), place))
@@ -130,54 +131,54 @@ class Searching:
     def _near_enough(self, trial: Trial) -> bool:
         return abs(trial.value - self._objective.value) <= self.search.within
 
-    def _boundary(self, ended: Bisected) -> tuple[SearchFinding, PluginSetting | None]:
-        """The last setting that will do before those that will not."""
+    def _boundary(self, ended: BisectionResult) -> tuple[SearchFinding, PluginSetting | None]:
+        """The last setting that meets the objective before those that do not."""
         objective, meeting = self._objective, {place: trial for place, trial in self.tried.items() if trial.meets}
         if not meeting:
             best = min(self.tried.values(), key=lambda trial: objective.distance(trial.value))
-            came = f"the nearest is {self._told(best)}" if not math.isnan(best.value) else best.reason
+            came = f"the nearest is {self._describe(best)}" if not math.isnan(best.value) else best.reason
             state: SearchState = "stopped" if ended.outcome == "spent" else "unreachable"
             spent = "the budget is spent, and " if ended.outcome == "spent" else ""
             return self._finding(state, None, f"{spent}no setting tried will do: {came}; {self._effort()}"), None
         if ended.outcome == "one side" or len(meeting) == len(self.tried):
             place = min(meeting, key=lambda place: (objective.distance(meeting[place].value), -place))
-            words = f"every setting tried will do, also {self._told(meeting[place])}"
+            words = f"every setting tried will do, also {self._describe(meeting[place])}"
         else:
             place = ended.low if ended.low in meeting else ended.high
             other = ended.high if place == ended.low else ended.low
-            words = f"{self._told(meeting[place])} will do, {self._told(self.tried[other])} will not"
+            words = f"{self._describe(meeting[place])} will do, {self._describe(self.tried[other])} will not"
         if ended.outcome == "spent":
             return self._finding("stopped", meeting[place], f"the budget is spent; {words}; {self._effort()}"), (
                 meeting[place].setting
             )
         return self._finding("found", meeting[place], f"{words}; {self._effort()}"), meeting[place].setting
 
-    def _of_several(self) -> tuple[SearchFinding, PluginSetting | None]:
-        """The best of the settings of several parameters that were tried."""
+    def _best_of_several(self) -> tuple[SearchFinding, PluginSetting | None]:
+        """The best setting tried of several parameters."""
         if self._objective.bound == "equal":
             return self._nearest(None)
         meeting = [place for place, trial in self.tried.items() if trial.meets]
         if not meeting:
-            return self._boundary(Bisected("one side", 0, 0))
+            return self._boundary(BisectionResult("one side", 0, 0))
         place = min(meeting, key=self._least)
-        words = f"{self._told(self.tried[place])} will do"
+        words = f"{self._describe(self.tried[place])} will do"
         if self.search.least is not None:
             _, metric = self.search.least
             words += f", and of those that will has the least {metric.name}, {_number(self._least(place))}"
         return self._finding("found", self.tried[place], f"{words}; {self._effort()}"), self.search.settings[place]
 
-    def _told(self, trial: Trial) -> str:
-        """A trial with its value and what its runs say."""
+    def _describe(self, trial: Trial) -> str:
+        """A trial with its value and its runs."""
         value = "no value" if math.isnan(trial.value) else _number(trial.value)
         return f"{trial.label} ({', '.join(filter(None, (value, trial.runs)))})"
 
     def _effort(self) -> str:
         words = f"{len(self.tried)} of {len(self.search.settings)} settings tried"
-        against = self._against()
+        against = self._reversals()
         return f"{words}; not monotone: {against}" if against else words
 
-    def _against(self) -> str:
-        """Trials between which the value turns, where repeats do not scatter it."""
+    def _reversals(self) -> str:
+        """Trials between which the value goes against its direction; empty if repeats scatter it."""
         if len(self.search.axes) > 1 or any(trial.runs for trial in self.tried.values()):
             return ""
         places = sorted(place for place in self.tried if not math.isnan(self.tried[place].value))
@@ -200,88 +201,87 @@ def _number(value: float) -> str:
     return f"{value:.4g}"
 
 
-def _off(value: float, wanted: float) -> str:
-    """How far a value is from what was wanted, as a share of it."""
-    return f", {100.0 * (value - wanted) / abs(wanted):+.2g} %" if wanted and value != wanted else ""
+def _off(value: float, target: float) -> str:
+    """The relative distance of a value from a target, in words."""
+    return f", {100.0 * (value - target) / abs(target):+.2g} %" if target and value != target else ""
 
 
 Side = Literal[-1, 0, 1]
-"""Of a place: which side of what is sought it is on; 0 where it is that."""
+"""Which side of the target a place is on; 0 if it is the target."""
 
 
 @dataclass(frozen=True)
-class Bisected:
-    """How a bisection ended. low, high: the places between which it did.
-
-    crossed: low and high are neighbours on different sides. hit: one of the places tried is what is sought. one side:
-    both ends are on the same, and so is their middle. spent: no further place may be tried.
-    """
+class BisectionResult:
+    """The end of a bisection between two places."""
 
     outcome: Literal["crossed", "hit", "one side", "spent"]
+    """crossed: low and high are neighbors on different sides. hit: one of the places tried is the target. one side:
+    both ends are on the same side, and so is their middle. spent: the budget is used up."""
     low: int
     high: int
 
 
-def bisection(length: int, budget: int) -> Generator[list[int], dict[int, Side], Bisected]:
-    """Yields places, of `length`, and is sent the side of each; tries at most `budget`.
+def bisection(length: int, budget: int) -> Generator[list[int], dict[int, Side], BisectionResult]:
+    """Yield places below `length`, at most `budget`; receive the side of each.
 
-    Where both ends are on one side, their middle is tried as well: a parameter that does not act in one direction may
-    yet show there.
+    If both ends are on one side, their middle is tried as well, in case the parameter is not monotone.
     """
     low, high = 0, length - 1
     sides = yield [low, high][:budget]
     if budget < 2:
-        return Bisected("hit" if 0 in sides.values() else "spent", low, high)
+        return BisectionResult("hit" if 0 in sides.values() else "spent", low, high)
     if sides[low] == sides[high] != 0:
         if length == 2 or budget == 2:
-            return Bisected("one side" if length == 2 else "spent", low, high)
+            return BisectionResult("one side" if length == 2 else "spent", low, high)
         middle = length // 2
         sides |= yield [middle]
         if sides[middle] == sides[low]:
-            return Bisected("one side", low, high)
+            return BisectionResult("one side", low, high)
         high = middle
     while 0 not in sides.values() and high - low > 1:
         if len(sides) >= budget:
-            return Bisected("spent", low, high)
+            return BisectionResult("spent", low, high)
         middle = (low + high) // 2
         sides |= yield [middle]
         low, high = (middle, high) if sides[middle] == sides[low] else (low, middle)
-    return Bisected("hit" if 0 in sides.values() else "crossed", low, high)
+    return BisectionResult("hit" if 0 in sides.values() else "crossed", low, high)
 
 
 _AT_ONCE: Final = 4
 """Settings that are tried in the same round."""
 _BARRED: Final = 1e12
-"""More than any cost: the sampler goes by the order of costs alone, in which settings that will not do come last."""
+"""More than any cost, so that settings that violate the objective come last; the sampler only uses the order."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """What a place is worth. cost: to be least; infinite where unknown. violation: above 0 where it will not do."""
+    """The score of a place."""
 
     cost: float
+    """To be least; infinite if unknown."""
     violation: float
+    """Above 0 if the place does not meet the objective."""
 
 
 def sampling(lengths: Sequence[int], budget: int, seed: int) -> Generator[list[int], dict[int, Score], None]:
-    """Yields places, in the order in which all combinations stand, and is sent the score of each; at most `budget`."""
-    import optuna
+    """Yield places in the flat order of all combinations, at most `budget`; receive the score of each."""
+    import optuna  # slow to load, and few runs search several parameters
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=min(10, budget // 2))
     study = optuna.create_study(sampler=sampler)
     known: dict[int, Score] = {}
     most = min(budget, math.prod(lengths))
-    for _ in range(10 * budget):  # the sampler may come back to where it was
+    for _ in range(10 * budget):  # the sampler may suggest a place again
         if len(known) >= most or Score(0.0, 0.0) in known.values():
             return
-        asked = [study.ask() for _ in range(min(_AT_ONCE, most - len(known)))]
+        suggested = [study.ask() for _ in range(min(_AT_ONCE, most - len(known)))]
         axes = [*enumerate(lengths)]
-        parts = ([trial.suggest_int(str(axis), 0, length - 1) for axis, length in axes] for trial in asked)
+        parts = ([trial.suggest_int(str(axis), 0, length - 1) for axis, length in axes] for trial in suggested)
         places = [int(np.ravel_multi_index(part, lengths)) for part in parts]
         new = [place for place in dict.fromkeys(places) if place not in known]
         if new:
             known |= yield new
-        for trial, place in zip(asked, places, strict=True):
+        for trial, place in zip(suggested, places, strict=True):
             score = known[place]
             study.tell(trial, min(score.cost, _BARRED) if score.violation == 0.0 else _BARRED * (1.0 + score.violation))

@@ -25,7 +25,7 @@ from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, FrameSequence
 from codecbench.plugins.evaluators.true_poses import Poses, rotation_angles_deg, true_poses
 from codecbench.slam.features.extractor import FeatureExtractor
-from codecbench.slam.places.keyframe_database import KeyframeDatabase
+from codecbench.slam.places.recognition import KeyframeDatabase
 from codecbench.slam.places.vocabulary import BowVector, Vocabulary
 
 

@@ -1,1 +1,1 @@
-"""Corners, orientations, descriptors, and matches between them."""
+"""ORB features: corners, orientations, descriptors, and matches between them."""

@@ -1,8 +1,8 @@
-"""FAST corners and their scores, for whole images without a branch: the compiler makes vector instructions of it.
+"""FAST corners and their scores for whole images, without branches so that the compiler vectorizes them.
 
-Source: Rosten, Porter, Drummond, "Faster and Better", IEEE T-PAMI 32(1), 2010, doi:10.1109/TPAMI.2008.275. A pixel is
-a corner at threshold t when nine pixels in a row, of the sixteen on the circle of radius three, are all brighter than
-it by more than t, or all darker. Its score is the greatest such t, plus one.
+Source: Rosten, Porter, Drummond, "Faster and Better", IEEE T-PAMI 32(1), 2010, doi:10.1109/TPAMI.2008.275. A pixel is a
+corner at threshold t if nine pixels in a row, of the sixteen on the circle of radius three, are all brighter than it by
+more than t, or all darker. Its score is the greatest such t, plus one.
 """
 
 from __future__ import annotations
@@ -14,30 +14,42 @@ import numpy as np
 from numba.cpython.unsafe import numbers as bits
 
 from codecbench.core.kernels.compiled import compiled
-from codecbench.slam.features.blocks import spans
 
 SUBPIXELS: Final = 4
-"""Parts of a pixel, each way, that corners are told apart by."""
+"""Parts of a pixel, each way, to which corners are located."""
 
 _RADIUS = 3
+_BLOCK = 32  # pixels of 8 bits that a vector holds, or a divisor of it
 _trailing_zeros: Any = bits.trailing_zeros
 
 
 @compiled
-def _least(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, before: Any, after: Any) -> Any:
-    """The greater minimum of the two runs of nine that share the eight pixels a..h."""
+def spans(first: int, last: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return two spans of pixels, start and end, that cover first..last - 1 in whole blocks.
+
+    The second overlaps the first. If there is no whole block, or no rest, the first span covers everything.
+    """
+    whole = first + (last - first) // _BLOCK * _BLOCK
+    if whole in (first, last):
+        return (first, last), (last, last)
+    return (first, whole), (last - _BLOCK, last)
+
+
+@compiled
+def _bright_runs(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, before: Any, after: Any) -> Any:
+    """Return the greater minimum of the two runs of nine that share the eight pixels a..h."""
     return min(min(min(min(a, b), min(c, d)), min(min(e, f), min(g, h))), max(before, after))
 
 
 @compiled
-def _greatest(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, before: Any, after: Any) -> Any:
-    """The smaller maximum of the two runs of nine that share the eight pixels a..h."""
+def _dark_runs(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, before: Any, after: Any) -> Any:
+    """Return the smaller maximum of the two runs of nine that share the eight pixels a..h."""
     return max(max(max(max(a, b), max(c, d)), max(max(e, f), max(g, h))), min(before, after))
 
 
 @compiled
 def score_corners(level: Any, scores: Any) -> None:
-    """Fill `scores` (height, width) uint8 with the FAST scores of a `level`'s pixels; 0 within three of the border."""
+    """Fill `scores` (height, width), uint8, with the FAST scores of `level`; 0 within three pixels of the border."""
     height, width = level.shape
     scores[:] = 0
     if width <= 2 * _RADIUS:
@@ -52,9 +64,9 @@ def score_corners(level: Any, scores: Any) -> None:
 
 @compiled(inline="always")
 def _score_span(u3: Any, u2: Any, u1: Any, row: Any, d1: Any, d2: Any, d3: Any, out: Any, start: int, end: int) -> None:
-    """Fill `out` from `start` to `end` with the scores of `row`, between three rows up and three down.
+    """Fill `out` from `start` to `end` with the scores of `row`, given three rows above and three below.
 
-    Indices are unsigned: they cannot mean the end of a row, and so the loop becomes vector code.
+    Unsigned indices cannot mean the end of a row, so the loop becomes vector code.
     """
     for x in range(np.uint64(start), np.uint64(end)):
         l1, l2, l3 = x - np.uint64(1), x - np.uint64(2), x - np.uint64(3)
@@ -64,33 +76,45 @@ def _score_span(u3: Any, u2: Any, u1: Any, row: Any, d1: Any, d2: Any, d3: Any, 
         p8, p9, pa, pb, pc, pd, pe, pf = d3[x], d3[l1], d2[l2], d1[l3], row[l3], u1[l3], u2[l2], u3[l1]
         bright = max(
             max(
-                max(_least(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9), _least(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb)),
-                max(_least(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd), _least(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf)),
+                max(
+                    _bright_runs(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9),
+                    _bright_runs(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb),
+                ),
+                max(
+                    _bright_runs(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd),
+                    _bright_runs(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf),
+                ),
             ),
             max(
-                max(_least(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1), _least(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3)),
-                max(_least(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5), _least(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7)),
+                max(
+                    _bright_runs(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1),
+                    _bright_runs(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3),
+                ),
+                max(
+                    _bright_runs(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5),
+                    _bright_runs(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7),
+                ),
             ),
         )
         dark = min(
             min(
                 min(
-                    _greatest(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9),
-                    _greatest(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb),
+                    _dark_runs(p1, p2, p3, p4, p5, p6, p7, p8, p0, p9),
+                    _dark_runs(p3, p4, p5, p6, p7, p8, p9, pa, p2, pb),
                 ),
                 min(
-                    _greatest(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd),
-                    _greatest(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf),
+                    _dark_runs(p5, p6, p7, p8, p9, pa, pb, pc, p4, pd),
+                    _dark_runs(p7, p8, p9, pa, pb, pc, pd, pe, p6, pf),
                 ),
             ),
             min(
                 min(
-                    _greatest(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1),
-                    _greatest(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3),
+                    _dark_runs(p9, pa, pb, pc, pd, pe, pf, p0, p8, p1),
+                    _dark_runs(pb, pc, pd, pe, pf, p0, p1, p2, pa, p3),
                 ),
                 min(
-                    _greatest(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5),
-                    _greatest(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7),
+                    _dark_runs(pd, pe, pf, p0, p1, p2, p3, p4, pc, p5),
+                    _dark_runs(pf, p0, p1, p2, p3, p4, p5, p6, pe, p7),
                 ),
             ),
         )
@@ -99,12 +123,15 @@ def _score_span(u3: Any, u2: Any, u1: Any, row: Any, d1: Any, d2: Any, d3: Any, 
 
 @compiled
 def list_corners(scores: Any, threshold: int) -> Any:
-    """Corners x, y (N, 2) at a threshold, and their scores (N,): those that beat their eight neighbours, by row."""
+    """Return the corners x, y (N, 2) at a threshold, by row, and their scores (N,).
+
+    A corner scores higher than its eight neighbors.
+    """
     height, width = scores.shape
     if width <= 2 * _RADIUS:
         return np.empty((0, 2), np.int64), np.empty(0, np.uint8)
     corners = np.empty((height * width // 4 + 1, 2), np.int64)
-    found = np.empty(len(corners), np.uint8)
+    corner_scores = np.empty(len(corners), np.uint8)
     peaks = np.zeros((width + 7) // 8 * 8, np.uint8)
     words = peaks.view(np.uint64)
     count, both = 0, spans(_RADIUS, width - _RADIUS)
@@ -112,17 +139,17 @@ def list_corners(scores: Any, threshold: int) -> Any:
         above, row, below = scores[y - 1], scores[y], scores[y + 1]
         for start, end in both:
             _keep_peaks(above, row, below, threshold, peaks, start, end)
-        count = _list_peaks(words, y, corners, found, count)
-    return corners[:count].copy(), found[:count].copy()
+        count = _list_peaks(words, y, corners, corner_scores, count)
+    return corners[:count].copy(), corner_scores[:count].copy()
 
 
 @compiled
 def refine_corner(scores: Any, x: int, y: int, offset: Any) -> None:
-    """Fill `offset` (2,) x, y, level pixels, with where in its pixel the score of a corner is greatest.
+    """Fill `offset` (2,) x, y, level pixels, with the place in its pixel where a corner's score is greatest.
 
-    The quadric of least squares through the scores of nine pixels has its maximum there. It is rounded to the middle of
-    one of SUBPIXELS parts of the pixel each way, so that it can be sent in few bits. The nearest part stands for a
-    maximum outside of the pixel, and the middle where there is none.
+    This is the maximum of the least-squares quadric through the scores of nine pixels. It is rounded to the middle of
+    one of SUBPIXELS parts of the pixel each way, so that it can be sent in few bits. A maximum outside the pixel is
+    moved to the nearest part. Without a maximum, the middle of the pixel is taken.
     """
     up, here, down = scores[y - 1], scores[y], scores[y + 1]
     a, b, c = np.int64(up[x - 1]), np.int64(up[x]), np.int64(up[x + 1])
@@ -143,8 +170,10 @@ def refine_corner(scores: Any, x: int, y: int, offset: Any) -> None:
 
 @compiled(inline="always")
 def _keep_peaks(above: Any, row: Any, below: Any, threshold: int, peaks: Any, start: int, end: int) -> None:
-    """Fill `peaks` from `start` to `end` with the scores of `row` above the threshold and all eight neighbours, 0
-    elsewhere."""
+    """Fill `peaks` from `start` to `end` with the scores of `row` that are peaks, 0 elsewhere.
+
+    A peak exceeds the threshold and all eight neighbors.
+    """
     limit = np.uint8(threshold)
     for x in range(np.uint64(start), np.uint64(end)):
         before, after = x - np.uint64(1), x + np.uint64(1)
@@ -156,14 +185,14 @@ def _keep_peaks(above: Any, row: Any, below: Any, threshold: int, peaks: Any, st
 
 
 @compiled(inline="always")
-def _list_peaks(words: Any, y: int, corners: Any, found: Any, count: int) -> int:
-    """Write down the pixels of a row that are not 0, eight of which are a word, lowest first; returns the new count."""
+def _list_peaks(words: Any, y: int, corners: Any, corner_scores: Any, count: int) -> int:
+    """Append the pixels of a row that are not 0 to `corners`, eight pixels a word; returns the new count."""
     for k in range(len(words)):
         word = words[k]
         while word != np.uint64(0):
             shift = np.uint64(_trailing_zeros(word)) & np.uint64(56)
             corners[count, 0], corners[count, 1] = 8 * k + np.int64(shift >> np.uint64(3)), y
-            found[count] = np.uint8(word >> shift)
+            corner_scores[count] = np.uint8(word >> shift)
             word &= ~(np.uint64(255) << shift)
             count += 1
     return count

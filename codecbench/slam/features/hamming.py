@@ -11,7 +11,7 @@ from codecbench.core.kernels.compiled import compiled
 
 @compiled
 def count_bits(word: Any) -> Any:
-    """Bits set in a uint64; the compiler makes this loop the processor's own instruction."""
+    """Return the number of bits set in a uint64; the compiler makes this loop one processor instruction."""
     count = np.uint64(0)
     while word != np.uint64(0):
         word &= word - np.uint64(1)
@@ -21,7 +21,7 @@ def count_bits(word: Any) -> Any:
 
 @compiled(inline="always")
 def hamming(descriptors_a: Any, i: int, descriptors_b: Any, j: int) -> int:
-    """Bits that differ between row i of `descriptors_a` (N, 4) and row j of `descriptors_b` (M, 4), both uint64."""
+    """Return the number of bits that differ between `descriptors_a[i]` (N, 4) and `descriptors_b[j]` (M, 4), uint64."""
     return int(
         count_bits(descriptors_a[i, 0] ^ descriptors_b[j, 0])
         + count_bits(descriptors_a[i, 1] ^ descriptors_b[j, 1])

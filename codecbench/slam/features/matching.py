@@ -1,7 +1,7 @@
-"""Matching features: in predicted windows and by appearance alone; on epipolar lines see triangulation.
+"""Matching features in predicted windows and by appearance; triangulation.py matches on epipolar lines.
 
-Both return, for each query, the index of its feature or -1. A feature is given to the one query that is
-nearest in Hamming distance (ties: the first), so that no feature is used twice.
+Each search returns, for each query, the index of its feature or -1. A feature goes to the query nearest in Hamming
+distance, the first of equals, so that no feature is used twice.
 """
 
 from __future__ import annotations
@@ -33,30 +33,31 @@ def match_in_windows(
     max_distance: int,
     ratio: float = 1.0,
 ) -> Indices:
-    """Match queries with the features near their predicted places.
+    """Match queries with the features near their predicted positions.
 
     Queries: `pixels` (Q, 2) predicted, `radii` (Q,) pixels, levels `octaves_low`..`octaves_high` (Q,), `descriptors`
-    (Q, 4). `free` (N,) marks the features that may be taken. A best match beyond `max_distance` bits, or not nearer
-    than `ratio` times the second best on the same level, is refused. Returns feature indices (Q,), -1 for none.
+    (Q, 4). `free` (N,) marks the features that may be matched. A best match is rejected if it is beyond `max_distance`
+    bits, or not nearer than `ratio` times the second best on the same level. Returns feature indices (Q,), -1 for none.
     """
     queries = Queries(pixels, radii, octaves_low, octaves_high, np.arange(len(pixels)), descriptors)
     return np.asarray(search_windows(queries, features.view, free, max_distance, ratio))
 
 
 class Queries(NamedTuple):
-    """What is searched in windows: see match_in_windows; the descriptor of query q is row `rows[q]` of a table."""
+    """Queries of a search in windows; see match_in_windows."""
 
     pixels: Any
     radii: Any
     octaves_low: Any
     octaves_high: Any
     rows: Any
+    """Row of each query's descriptor in `descriptors` (Q,)."""
     descriptors: Any
 
 
 @compiled
 def search_windows(queries: Queries, view: View, free: Any, max_distance: int, ratio: float) -> Any:
-    """match_in_windows for compiled code."""
+    """Match as match_in_windows does, for compiled code."""
     pixels, radii, octaves_low, octaves_high, rows, descriptors = queries
     feature_pixels, feature_octaves, feature_descriptors, starts, members, grid = view
     columns, lines = int(grid[2]), int(grid[3])
@@ -77,7 +78,7 @@ def search_windows(queries: Queries, view: View, free: Any, max_distance: int, r
             for m in range(starts[line * columns + first_column], starts[line * columns + last_column + 1]):
                 f = members[m]
                 octave, dx, dy = feature_octaves[f], abs(feature_pixels[f, 0] - x), abs(feature_pixels[f, 1] - y)
-                near[count] = f  # no branch, which nobody could predict
+                near[count] = f  # no branch, which would be unpredictable
                 count += free[f] & (octave >= low) & (octave <= high) & (dx <= radius) & (dy <= radius)
         best, second, best_feature, best_octave, second_octave = _FAR, _FAR, -1, -1, -1
         for k in range(count):
@@ -96,7 +97,7 @@ def search_windows(queries: Queries, view: View, free: Any, max_distance: int, r
 
 @compiled
 def claim(query: int, feature: int, distance: int, matches: Any, owners: Any, distances: Any) -> None:
-    """Give `feature` to `query` if its owner so far, who then loses it, is further away; updates all in place.
+    """Assign `feature` to `query` if the current owner, which then loses it, is further away; updates all in place.
 
     `matches` (Q,) by query; `owners` (F,), -1 for none, and their Hamming `distances` (F,) by feature.
     """
@@ -113,8 +114,8 @@ def match_by_appearance(
 ) -> Any:  # fmt: skip
     """Match descriptors (N, 4) with descriptors (M, 4) under the same vocabulary node; returns (N,), -1 for none.
 
-    `nodes_a` (N,), `nodes_b` (M,) are the nodes (all equal: every pair is compared), `usable_a`, `usable_b` masks.
-    The best match must be within `max_distance` bits and nearer than `ratio` times the second best.
+    `nodes_a` (N,), `nodes_b` (M,) are the nodes; if all are equal, every pair is compared. `usable_a`, `usable_b` are
+    masks. The best match must be within `max_distance` bits and nearer than `ratio` times the second best.
     """
     matches = np.full(len(descriptors_a), -1, np.int64)
     owners = np.full(len(descriptors_b), -1, np.int64)
@@ -147,10 +148,10 @@ def match_by_appearance(
 
 @compiled
 def keep_consistent_rotations(matches: Any, angles_a: Any, angles_b: Any) -> Any:
-    """Set to -1, in place, the matches whose turn (angle a minus angle b) is not among the histogram's peaks.
+    """Set to -1, in place, matches whose rotation (angle a minus angle b) is not among the histogram's peaks.
 
     `matches` (N,) index `angles_b`; angles in radians. The ROTATION_PEAKS fullest of ROTATION_BINS bins count as peaks,
-    the second and third only where they hold a tenth of the first. Returns `matches`.
+    the second and third only if they hold a tenth of the first. Returns `matches`.
     """
     bins = np.full(len(matches), -1, np.int64)
     counts = np.zeros(ROTATION_BINS, np.int64)
@@ -159,14 +160,14 @@ def keep_consistent_rotations(matches: Any, angles_a: Any, angles_b: Any) -> Any
             turn = (angles_a[i] - angles_b[matches[i]]) / (2.0 * math.pi)
             bins[i] = int((turn - math.floor(turn)) * ROTATION_BINS) % ROTATION_BINS
             counts[bins[i]] += 1
-    peak, looked_at, fullest = np.zeros(ROTATION_BINS, np.bool_), np.zeros(ROTATION_BINS, np.bool_), 0
+    peak, visited, fullest = np.zeros(ROTATION_BINS, np.bool_), np.zeros(ROTATION_BINS, np.bool_), 0
     for _ in range(ROTATION_PEAKS):
         fuller = -1
         for k in range(ROTATION_BINS):
-            if not looked_at[k] and (fuller < 0 or counts[k] > counts[fuller]):
+            if not visited[k] and (fuller < 0 or counts[k] > counts[fuller]):
                 fuller = k
         fullest = max(fullest, counts[fuller])
-        looked_at[fuller], peak[fuller] = True, counts[fuller] * 10 >= fullest
+        visited[fuller], peak[fuller] = True, counts[fuller] * 10 >= fullest
     for i in range(len(matches)):
         if matches[i] >= 0 and not peak[bins[i]]:
             matches[i] = -1

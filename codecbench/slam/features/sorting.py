@@ -1,4 +1,4 @@
-"""Sorting small integers by counting, inside compiled code."""
+"""Counting sort of small integers, for compiled code."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Cameras, rotations, rigid motions and similarities, and what two views tell of them."""
+"""Cameras, rotations, rigid motions, similarities, two-view geometry and linear systems."""

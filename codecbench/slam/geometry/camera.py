@@ -1,18 +1,23 @@
-"""The camera: pinhole projection with Brown-Conrady or rational distortion, or a fisheye."""
+"""The camera model: pinhole with Brown-Conrady or rational distortion, or equidistant fisheye."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.kernels.compiled import compiled
-from codecbench.slam.geometry.fisheye import distort_fisheye, undistort_fisheye
-from codecbench.slam.geometry.rational import distort_rational, undistort_rational
+from codecbench.slam.geometry.distortion import (
+    distort_brown,
+    distort_fisheye,
+    distort_rational,
+    undistort_brown,
+    undistort_fisheye,
+    undistort_rational,
+)
 from codecbench.slam.thresholds import FISHEYE_ANGLE_DEG
 
 Floats = NDArray[np.float64]
@@ -22,20 +27,26 @@ Floats = NDArray[np.float64]
 class Camera:
     """A pinhole camera with Brown-Conrady or rational distortion, or a fisheye.
 
-    `width`, `height`, `fx`, `fy`, `cx`, `cy` in pixels, pixel centres at integers; `distortion` is k1, k2, p1, p2, k3
-    and with a rational lens k4, k5, k6 (zeros when left out); of the `model` `equidistant` k1, k2, k3, k4. Raises
-    ValueError for sizes below 1, focal lengths not above 0 and numbers not finite. Source: Brown, Photometric
-    Engineering 37(8), 1971, in OpenCV's order of coefficients; `rational` and `fisheye` say those of the others.
+    Raises ValueError for sizes below 1, focal lengths not above 0 and numbers that are not finite. Source: Brown,
+    Photometric Engineering 37(8), 1971, in OpenCV's order of coefficients; distortion.py has those of the other models.
     """
 
     width: int
+    """Pixels."""
     height: int
+    """Pixels."""
     fx: float
+    """Focal length, pixels."""
     fy: float
+    """Focal length, pixels."""
     cx: float
+    """Principal point, pixels; pixel centers are at integers."""
     cy: float
+    """Principal point, pixels."""
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3, and k4, k5, k6 of a rational lens; k1, k2, k3, k4 of a fisheye. Missing ones are 0."""
     model: Literal["pinhole", "equidistant"] = "pinhole"
+    """The fisheye is "equidistant"."""
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -62,7 +73,7 @@ class Camera:
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def pixels_across(self, angle_deg: float) -> float:
-        """How many pixels in the middle of the image cover a small angle, degrees."""
+        """Return how many pixels in the middle of the image cover a small angle, degrees."""
         return math.radians(angle_deg) * math.sqrt(self.fx * self.fy)
 
     @property
@@ -79,7 +90,7 @@ class Camera:
 
     @property
     def has_blind_pixels(self) -> bool:
-        """Whether `undistort` may have no answer for some pixels."""
+        """Whether `undistort` may give NaN for some pixels."""
         return self.is_fisheye or self.is_rational
 
     @cached_property
@@ -95,7 +106,7 @@ class Camera:
         return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
 
     def undistort(self, pixels: Floats) -> Floats:
-        """Where `pixels` (N, 2) would lie without distortion (N, 2); NaN for those that are blind."""
+        """Return where `pixels` (N, 2) would lie without distortion (N, 2); NaN for blind pixels."""
         pixels = np.ascontiguousarray(pixels, dtype=np.float64)
         if self.is_fisheye:
             widest_rad = math.radians(FISHEYE_ANGLE_DEG)
@@ -104,69 +115,22 @@ class Camera:
             return undistort_rational(pixels, self.intrinsics, np.array(self.distortion))
         if not self.is_distorted:
             return pixels.copy()
-        return np.asarray(_undistort(pixels, self.intrinsics, np.array(self.distortion)))
+        return np.asarray(undistort_brown(pixels, self.intrinsics, np.array(self.distortion)))
 
     def distort(self, pixels: Floats) -> Floats:
-        """Where undistorted `pixels` (N, 2) lie in the image as taken (N, 2)."""
+        """Return where undistorted `pixels` (N, 2) lie in the image as taken (N, 2)."""
         pixels = np.ascontiguousarray(pixels, dtype=np.float64)
         if self.is_fisheye:
             return distort_fisheye(pixels, self.intrinsics, np.array(self.distortion))
         if self.is_rational:
             return distort_rational(pixels, self.intrinsics, np.array(self.distortion))
-        return np.asarray(_distort(pixels, self.intrinsics, np.array(self.distortion)))
+        return np.asarray(distort_brown(pixels, self.intrinsics, np.array(self.distortion)))
 
     def project(self, points_camera: Floats) -> Floats:
-        """Undistorted pixels (N, 2) of `points_camera` (N, 3)."""
+        """Return the undistorted pixels (N, 2) of `points_camera` (N, 3)."""
         scaled = points_camera[:, :2] / points_camera[:, 2:]
         return np.asarray(scaled * self.intrinsics[:2] + self.intrinsics[2:])
 
     def rays(self, pixels: Floats) -> Floats:
-        """Directions (N, 3), of depth 1, in which undistorted `pixels` (N, 2) lie."""
+        """Return the directions (N, 3), of depth 1, of undistorted `pixels` (N, 2)."""
         return np.asarray(np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.matrix).T)
-
-
-@compiled
-def _distort_normalized(x: float, y: float, k: Any) -> Any:
-    """Distorted normalised coordinates, and the Jacobian of x_d, y_d by x, y."""
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-    slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + 3.0 * r2 * k[4]))  # d radial / d(r2 / 2): times x or y
-    xd = x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x)
-    yd = y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y
-    xx = radial + x * slope * x + 2.0 * k[2] * y + 6.0 * k[3] * x
-    xy = x * slope * y + 2.0 * k[2] * x + 2.0 * k[3] * y
-    yy = radial + y * slope * y + 6.0 * k[2] * y + 2.0 * k[3] * x
-    return xd, yd, xx, xy, yy
-
-
-@compiled
-def _distort(pixels: Any, intrinsics: Any, k: Any) -> Any:
-    fx, fy, cx, cy = intrinsics
-    distorted = np.empty_like(pixels)
-    for i in range(len(pixels)):
-        xd, yd, _, _, _ = _distort_normalized((pixels[i, 0] - cx) / fx, (pixels[i, 1] - cy) / fy, k)
-        distorted[i, 0] = xd * fx + cx
-        distorted[i, 1] = yd * fy + cy
-    return distorted
-
-
-@compiled
-def _undistort(pixels: Any, intrinsics: Any, k: Any) -> Any:
-    """Newton's method on the distortion; 20 steps are ample, most pixels need four."""
-    fx, fy, cx, cy = intrinsics
-    undistorted = np.empty_like(pixels)
-    for i in range(len(pixels)):
-        target_x = (pixels[i, 0] - cx) / fx
-        target_y = (pixels[i, 1] - cy) / fy
-        x, y = target_x, target_y
-        for _ in range(20):
-            xd, yd, xx, xy, yy = _distort_normalized(x, y, k)
-            ex, ey = xd - target_x, yd - target_y
-            determinant = xx * yy - xy * xy
-            if ex * ex + ey * ey < 1e-24 or abs(determinant) < 1e-9:
-                break
-            x -= (yy * ex - xy * ey) / determinant
-            y -= (xx * ey - xy * ex) / determinant
-        undistorted[i, 0] = x * fx + cx
-        undistorted[i, 1] = y * fy + cy
-    return undistorted

@@ -1,7 +1,7 @@
-"""Symmetric linear systems of the solvers: one small and dense, one large with blocks under an envelope.
+"""Symmetric linear systems of the solvers: a small dense one, and a large one with blocks under an envelope.
 
-Written here rather than taken from LAPACK because the sums must come in one order whatever the number of BLAS threads,
-so that a run is repeated to the last bit, and because the whole iteration then stays in compiled code.
+LAPACK is not used, because the sums must come in one order whatever the number of BLAS threads, so that a run is
+repeated to the last bit. The whole iteration then also stays in compiled code.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Indices = NDArray[np.int64]
 
 @compiled
 def copy_numbers(source, target):  # type: ignore[no-untyped-def]
-    """Copy an array into one of its shape; both contiguous. Assigning a slice takes seconds to compile instead."""
+    """Copy an array into one of its shape, both contiguous; assigning a slice would take seconds to compile."""
     source, target = source.reshape(-1), target.reshape(-1)
     for i in range(source.shape[0]):
         target[i] = source[i]
@@ -56,20 +56,20 @@ def solve_symmetric(matrix, right_side, damping):  # type: ignore[no-untyped-def
 
 
 def envelope_order(adjacency: NDArray[np.bool_]) -> Indices:
-    """Return the order (n,) of the nodes of a graph that gives the smaller envelope: as they come, or Cuthill-McKee's.
+    """Return the order (n,) of a graph's nodes with the smaller envelope: the given one or Cuthill-McKee's.
 
-    `adjacency` (n, n) is symmetric. `order[k]` is the node at position k.
-    Sources: Cuthill and McKee, 1969; George, 1971.
+    `adjacency` (n, n) is symmetric. `order[k]` is the node at position k. Sources: Cuthill and McKee, 1969; George,
+    1971.
     """
     natural = np.arange(len(adjacency), dtype=np.int64)
     if len(natural) < 3:
         return natural
     reverse = reverse_cuthill_mckee(csr_array(adjacency), symmetric_mode=True).astype(np.int64)
-    sizes = [int((natural - first_neighbours(adjacency[np.ix_(o, o)])).sum()) for o in (natural, reverse)]
+    sizes = [int((natural - first_neighbors(adjacency[np.ix_(o, o)])).sum()) for o in (natural, reverse)]
     return natural if sizes[0] <= sizes[1] else reverse
 
 
-def first_neighbours(adjacency: NDArray[np.bool_]) -> Indices:
+def first_neighbors(adjacency: NDArray[np.bool_]) -> Indices:
     """Return for each node (n,) the first position that it is joined to, or its own."""
     if not len(adjacency):
         return np.zeros(0, dtype=np.int64)

@@ -14,7 +14,7 @@ from codecbench.core.kernels.compiled import compiled
 
 Array = NDArray[np.float64]
 
-SMALL_ANGLE_RAD = 0.3  # below it the closed forms lose digits to cancellation, and short series take over
+SMALL_ANGLE_RAD = 0.3  # below it, closed forms lose digits to cancellation and short series are used
 
 
 @compiled

@@ -14,22 +14,29 @@ from codecbench.slam.geometry.rotations import Array
 from codecbench.slam.geometry.transforms import align_points, sim3_compose, sim3_exp, sim3_from_parts, sim3_inverse
 from codecbench.slam.thresholds import CHI2_99_2DOF
 
-_CONFIDENCE = 0.99  # probability of having drawn a sample without outliers when RANSAC stops
-_ROUNDS = 3  # of the refinement; outliers leave after each
+_CONFIDENCE = 0.99  # probability that RANSAC has drawn a sample without outliers when it stops
+_ROUNDS = 3  # of the refinement; outliers are removed after each
 _ITERATIONS_A_ROUND = 10
 _MIN_PAIRS = 3
 
 
 class Pairs(NamedTuple):
-    """Points that two keyframes share: where each has them in its camera's frame, and where it saw them."""
+    """Points that two keyframes a and b share."""
 
     points_a: Any
+    """Positions in the frame of camera a (N, 3)."""
     points_b: Any
+    """Positions in the frame of camera b (N, 3)."""
     pixels_a: Any
+    """Undistorted pixels in a (N, 2)."""
     pixels_b: Any
+    """Undistorted pixels in b (N, 2)."""
     weights_a: Any
+    """Inverse variances of `pixels_a` (N,), 1/px^2."""
     weights_b: Any
+    """Inverse variances of `pixels_b` (N,), 1/px^2."""
     intrinsics: Any
+    """fx, fy, cx, cy (4,)."""
 
 
 def estimate_similarity(
@@ -47,22 +54,22 @@ def estimate_similarity(
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """Return the similarity `a_from_b` (4, 4) that most pairs support and its inliers (N,), or None without support.
 
-    `points_a`, `points_b` (N, 3): the same points as two keyframes' maps have them, each in its own camera's frame;
+    `points_a`, `points_b` (N, 3): the same points in the maps of two keyframes, each in its own camera's frame;
     `pixels_a`, `pixels_b` (N, 2) undistorted; `inverse_sigma2_*` (N,) in 1/px^2; `intrinsics` (4,): fx, fy, cx, cy. An
-    inlier lands, in both images, in front of the camera with a chi-square of at most 9.21. Draws at most `iterations`
-    samples of three pairs and stops once 99 % sure; the best one is fitted again to all its inliers.
+    inlier is in front of both cameras, with a chi-square of at most 9.21 in both images. Draws at most `iterations`
+    samples of three pairs and stops at 99 % confidence; the best one is fitted again to all its inliers.
     Raises ValueError for arrays that do not fit together.
     Sources: Horn, JOSA A 4(4), 1987, and Umeyama, PAMI 13(4), 1991 (closed form); ORB-SLAM, T-RO 2015, section VII-B.
     """
-    pairs = _checked(points_a, points_b, pixels_a, pixels_b, inverse_sigma2_a, inverse_sigma2_b, intrinsics)
-    count = len(pairs.points_a)
-    if count < max(min_inliers, _MIN_PAIRS):
+    pairs = _validate_pairs(points_a, points_b, pixels_a, pixels_b, inverse_sigma2_a, inverse_sigma2_b, intrinsics)
+    pair_count = len(pairs.points_a)
+    if pair_count < max(min_inliers, _MIN_PAIRS):
         return None
-    samples = rng.integers(0, [count, count - 1, count - 2], size=(iterations, 3))
-    inliers = np.zeros(count, dtype=np.bool_)
+    samples = rng.integers(0, [pair_count, pair_count - 1, pair_count - 2], size=(iterations, 3))
+    inliers = np.zeros(pair_count, dtype=np.bool_)
     a_from_b = np.eye(4)
-    found = _ransac(pairs, samples, a_from_b, inliers)
-    return (a_from_b, inliers) if found >= max(min_inliers, _MIN_PAIRS) else None
+    count = _ransac(pairs, samples, a_from_b, inliers)
+    return (a_from_b, inliers) if count >= max(min_inliers, _MIN_PAIRS) else None
 
 
 def optimize_similarity(
@@ -75,14 +82,14 @@ def optimize_similarity(
     inverse_sigma2_b: Array,
     intrinsics: Array,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the similarity `a_from_b` (4, 4) that minimises the reprojection errors in both images, and its inliers.
+    """Return the similarity `a_from_b` (4, 4) that minimizes the reprojection errors in both images, and its inliers.
 
     The arguments are those of `estimate_similarity`; points stay where they are in their own camera's frame. Rounds of
     Levenberg-Marquardt on seven parameters with Huber's kernel; after each, pairs with a chi-square above 9.21 in
     either image leave (and may come back). With fewer than three inliers left, the last good similarity is returned.
     Raises ValueError for arrays that do not fit together. Source: ORB-SLAM, T-RO 2015, appendix.
     """
-    pairs = _checked(points_a, points_b, pixels_a, pixels_b, inverse_sigma2_a, inverse_sigma2_b, intrinsics)
+    pairs = _validate_pairs(points_a, points_b, pixels_a, pixels_b, inverse_sigma2_a, inverse_sigma2_b, intrinsics)
     similarity = np.array(a_from_b, dtype=np.float64)
     if similarity.shape != (4, 4) or not np.linalg.det(similarity[:3, :3]) > 0.0:
         raise ValueError("optimize_similarity: a_from_b is no (4, 4) similarity with a positive determinant")
@@ -91,7 +98,7 @@ def optimize_similarity(
     return similarity, inliers
 
 
-def _checked(*arrays: Array) -> Pairs:
+def _validate_pairs(*arrays: Array) -> Pairs:
     """Return points, pixels, inverse variances of a and b and the intrinsics as contiguous floats."""
     out = tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
     n = len(out[0])
@@ -104,7 +111,7 @@ def _checked(*arrays: Array) -> Pairs:
 
 
 @compiled
-def _transformed(matrix, point):  # type: ignore[no-untyped-def]
+def _transform_point(matrix, point):  # type: ignore[no-untyped-def]
     x = matrix[0, 0] * point[0] + matrix[0, 1] * point[1] + matrix[0, 2] * point[2] + matrix[0, 3]
     y = matrix[1, 0] * point[0] + matrix[1, 1] * point[1] + matrix[1, 2] * point[2] + matrix[1, 3]
     z = matrix[2, 0] * point[0] + matrix[2, 1] * point[1] + matrix[2, 2] * point[2] + matrix[2, 3]
@@ -114,7 +121,7 @@ def _transformed(matrix, point):  # type: ignore[no-untyped-def]
 @compiled
 def _chi2(transform, point, pixel, weight, intrinsics):  # type: ignore[no-untyped-def]
     """Return the chi-square of a point brought into a camera; infinite behind it."""
-    x, y, z = _transformed(transform, point)
+    x, y, z = _transform_point(transform, point)
     if z <= 0.0:
         return np.inf
     e0 = intrinsics[0] * x / z + intrinsics[2] - pixel[0]
@@ -145,8 +152,8 @@ def _ransac(pairs, samples, best, inliers):  # type: ignore[no-untyped-def]
         first, second, third = samples[k, 0], samples[k, 1], samples[k, 2]
         if second >= first:  # the second index counts the pairs without the first, the third without both
             second += 1
-        for taken in (min(first, second), max(first, second)):
-            if third >= taken:
+        for earlier in (min(first, second), max(first, second)):
+            if third >= earlier:
                 third += 1
         for row, index in enumerate((first, second, third)):
             for k in range(3):
@@ -179,8 +186,8 @@ def _refine(pairs, similarity, inliers):  # type: ignore[no-untyped-def]
     active, trial = np.ones_like(inliers), similarity.copy()
     for _ in range(_ROUNDS):
         _minimize(pairs, active, trial)
-        found = _classify(trial, pairs, active)
-        if found < _MIN_PAIRS:
+        count = _classify(trial, pairs, active)
+        if count < _MIN_PAIRS:
             return
         copy_numbers(trial, similarity)
         unchanged = np.array_equal(active, inliers)
@@ -227,12 +234,12 @@ def _linearize(  # type: ignore[no-untyped-def]
     for i in range(pairs.points_a.shape[0]):
         if not active[i]:
             continue
-        in_a = _transformed(similarity, pairs.points_b[i])
+        in_a = _transform_point(similarity, pairs.points_b[i])
         _point_motion(in_a, identity, 1.0, motion)
-        cost += _add(in_a, motion, pairs.pixels_a[i], pairs.weights_a[i], intrinsics, hessian, gradient)
-        in_b = _transformed(inverse, pairs.points_a[i])
+        cost += _add_residual(in_a, motion, pairs.pixels_a[i], pairs.weights_a[i], intrinsics, hessian, gradient)
+        in_b = _transform_point(inverse, pairs.points_a[i])
         _point_motion(pairs.points_a[i], inverse[:3, :3], -1.0, motion)
-        cost += _add(in_b, motion, pairs.pixels_b[i], pairs.weights_b[i], intrinsics, hessian, gradient)
+        cost += _add_residual(in_b, motion, pairs.pixels_b[i], pairs.weights_b[i], intrinsics, hessian, gradient)
     return cost
 
 
@@ -248,7 +255,7 @@ def _point_motion(point, rotation, sign, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _add(point, motion, pixel, weight, intrinsics, hessian, gradient):  # type: ignore[no-untyped-def]
+def _add_residual(point, motion, pixel, weight, intrinsics, hessian, gradient):  # type: ignore[no-untyped-def]
     """Add one image's residual to the normal equations; return its robust cost."""
     z = point[2]
     if z <= 0.0:

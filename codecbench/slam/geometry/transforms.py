@@ -188,7 +188,7 @@ def se3_inverse(motion: Array) -> Array:
 
 @compiled
 def align_points(points_a: Array, points_b: Array, with_scale: bool) -> tuple[float, Array, Array]:
-    """Return scale, rotation, translation that minimise sum |a - (s R b + t)|^2; see `umeyama`, which checks first."""
+    """Return scale, rotation, translation that minimize sum |a - (s R b + t)|^2; see `umeyama`, which checks first."""
     count = points_a.shape[0]
     mean_a, mean_b = np.zeros(3), np.zeros(3)
     for i in range(count):
@@ -198,10 +198,10 @@ def align_points(points_a: Array, points_b: Array, with_scale: bool) -> tuple[fl
     covariance, variance_b = np.zeros((3, 3)), 0.0
     for i in range(count):
         for j in range(3):
-            centred_b = points_b[i, j] - mean_b[j]
-            variance_b += centred_b * centred_b
+            centerd_b = points_b[i, j] - mean_b[j]
+            variance_b += centerd_b * centerd_b
             for k in range(3):
-                covariance[k, j] += (points_a[i, k] - mean_a[k]) * centred_b
+                covariance[k, j] += (points_a[i, k] - mean_a[k]) * centerd_b
     u, singular, vt = np.linalg.svd(covariance)
     if np.linalg.det(u) * np.linalg.det(vt) < 0.0:  # the nearest orthogonal matrix is a reflection
         for k in range(3):

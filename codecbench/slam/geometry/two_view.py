@@ -1,7 +1,7 @@
-"""Two-view geometry: homography, fundamental matrix, and what motion they mean.
+"""Two-view geometry: homography, fundamental matrix, and the motions that they allow.
 
-Source of the algorithms: Hartley and Zisserman, "Multiple View Geometry", 2nd edition, chapters 4, 9, 11.
-Pixels are undistorted; `b_from_a` maps image or camera a to b.
+Source of the algorithms: Hartley and Zisserman, "Multiple View Geometry", 2nd edition, chapters 4, 5, 9, 11. Pixels are
+undistorted; `b_from_a` maps image or camera a to b.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.geometry.rotations import skew
-from codecbench.slam.geometry.transforms import se3_inverse, sim3_compose
+from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, sim3_compose
 from codecbench.slam.thresholds import CHI2_95_1DOF, CHI2_95_2DOF
 
 Floats = NDArray[np.float64]
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 @compiled
 def normalize_pixels(pixels: Any) -> Any:
-    """Pixels (N, 2) moved to their centroid and scaled to a mean distance of sqrt(2), and the (3, 3) that does it."""
+    """Return pixels (N, 2) moved to their centroid, at a mean distance of sqrt(2), and the matrix (3, 3) for it."""
     count, x, y, distance = len(pixels), 0.0, 0.0, 0.0
     for i in range(count):
         x += pixels[i, 0]
@@ -42,7 +42,7 @@ def normalize_pixels(pixels: Any) -> Any:
 
 @compiled
 def fit_homography(pixels_a: Any, pixels_b: Any) -> Any:
-    """Homography `b_from_a` (3, 3) of N >= 4 matches (N, 2) by the direct linear transform; normalise them first."""
+    """Return the homography `b_from_a` (3, 3) of N >= 4 normalized matches (N, 2): direct linear transform."""
     n = len(pixels_a)
     system = np.zeros((max(2 * n, 9), 9))
     for i in range(n):
@@ -56,7 +56,7 @@ def fit_homography(pixels_a: Any, pixels_b: Any) -> Any:
 
 @compiled
 def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
-    """Fundamental matrix (3, 3), x_b' F x_a = 0, of N >= 8 matches (N, 2), of rank two; normalise them first."""
+    """Return the fundamental matrix (3, 3), x_b' F x_a = 0, of rank two, of N >= 8 normalized matches (N, 2)."""
     n = len(pixels_a)
     system = np.zeros((max(n, 9), 9))
     for i in range(n):
@@ -74,9 +74,9 @@ def fit_fundamental(pixels_a: Any, pixels_b: Any) -> Any:
 
 @compiled
 def _least_vector(system: Any, equations: int) -> Any:
-    """The vector (9,) that a system (M, 9), whose first `equations` rows count, makes least for its length.
+    """Return the vector (9,) that the first `equations` rows of a system (M, 9) make least for its length.
 
-    Eight equations make it zero, which Gaussian elimination finds soonest; zeros where they depend on each other. Of
+    Eight equations make it zero, and Gaussian elimination finds it soonest; zeros if they depend on each other. For
     more, the normal equations are decomposed: LAPACK would share a long system out among threads.
     """
     if equations != 8:
@@ -113,14 +113,14 @@ def _least_vector(system: Any, equations: int) -> Any:
 
 
 def fit_rotation(rays_a: Floats, rays_b: Floats) -> Floats:
-    """The rotation `b_from_a` (3, 3) that brings N >= 2 directions (N, 3) nearest to each other (Kabsch 1976)."""
+    """Return the rotation `b_from_a` (3, 3) that best aligns N >= 2 directions (N, 3) (Kabsch 1976)."""
     u, _, vt = np.linalg.svd(rays_b.T @ rays_a)
     return np.asarray(u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))] @ vt)
 
 
 @compiled
 def score_homography(b_from_a: Any, pixels_a: Any, pixels_b: Any, variances: Any, inliers: Any) -> float:
-    """ORB-SLAM's score of a homography (equation 2): symmetric transfer errors; fills `inliers` (N,).
+    """Return ORB-SLAM's score of a homography (equation 2), by symmetric transfer errors; fills `inliers` (N,).
 
     `variances` (N,) are those of the pixels along each axis, px^2.
     """
@@ -152,7 +152,7 @@ def _transfer_error2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
 
 @compiled
 def score_fundamental(b_from_a: Any, pixels_a: Any, pixels_b: Any, variances: Any, inliers: Any) -> float:
-    """ORB-SLAM's score of a fundamental matrix (equation 2): distances to epipolar lines; fills `inliers` (N,).
+    """Return ORB-SLAM's score of a fundamental matrix (equation 2), by epipolar distances; fills `inliers` (N,).
 
     `variances` (N,) as in `score_homography`.
     """
@@ -183,14 +183,17 @@ def _line_distance2(b_from_a: Any, pixel_a: Any, pixel_b: Any) -> float:
 
 
 def decompose_homography(b_from_a: Floats, camera_matrix: Floats) -> list[Floats]:
-    """The motions `b_from_a` (4, 4), unit or zero translation, that a homography of pixels allows (Malis 2007)."""
+    """Return the motions `b_from_a` (4, 4) that a homography of pixels allows (Malis 2007).
+
+    Their translations have unit length or are zero.
+    """
     _, rotations, translations, _ = cv2.decomposeHomographyMat(b_from_a, camera_matrix)
     pairs = zip(rotations, translations, strict=True)
     return [_motion(np.asarray(r, np.float64), np.asarray(t, np.float64).ravel()) for r, t in pairs]
 
 
 def decompose_fundamental(b_from_a: Floats, camera_matrix: Floats) -> list[Floats]:
-    """The four motions `b_from_a` (4, 4), unit translation, that a fundamental matrix allows (section 9.6.2)."""
+    """Return the four motions `b_from_a` (4, 4), of unit translation, of a fundamental matrix (section 9.6.2)."""
     u, _, vt = np.linalg.svd(camera_matrix.T @ b_from_a @ camera_matrix)
     u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -208,9 +211,9 @@ def _motion(rotation: Floats, translation: Floats) -> Floats:
 
 @compiled
 def fundamental_between(a_from_world: Any, b_from_world: Any, camera_matrix: Any) -> Any:
-    """Fundamental matrix (3, 3), x_b' F x_a = 0, of two poses (4, 4), and the epipole (2,) in image b, pixels.
+    """Return the fundamental matrix (3, 3), x_b' F x_a = 0, of two poses (4, 4), and the epipole (2,), pixels of b.
 
-    `camera_matrix` (3, 3) is without skew. An epipole at infinity comes back 1e6 pixels out in its direction.
+    `camera_matrix` (3, 3) has no skew. An epipole at infinity is returned 1e6 pixels out in its direction.
     """
     b_from_a = sim3_compose(b_from_world, se3_inverse(a_from_world))
     t = b_from_a[:3, 3].copy()
@@ -222,3 +225,45 @@ def fundamental_between(a_from_world: Any, b_from_world: Any, camera_matrix: Any
     length = math.sqrt(u * u + v * v)
     scale = 1.0 / t[2] if abs(t[2]) > 1e-6 * length else 1e6 / max(length, 1e-300)
     return fundamental, np.array([scale * u, scale * v])
+
+
+_STEP = 1e-6  # radians: half the difference by which derivatives are taken
+
+
+def direction_deviation_deg(
+    second_from_first: Floats, pixels_a: Floats, pixels_b: Floats, variances: Floats, matrix: Floats
+) -> float:
+    """Return the standard deviation, degrees, of the direction of translation that two views fix worst.
+
+    `second_from_first` (4, 4) with unit translation explains the matches `pixels_a`, `pixels_b` (N, 2), whose errors
+    have `variances` (N,) along each axis, px^2; `matrix` (3, 3) is the camera's. The result comes from the inverse of
+    the normal equations of the Sampson distances by rotation (three parameters) and direction (two). It is infinite if
+    the direction has no effect, because the camera only turned. Source: Hartley and Zisserman, 2nd edition, sections
+    5.2, 11.4.3.
+    """
+    across = np.linalg.svd(second_from_first[None, :3, 3])[2][1:]
+    slopes = []
+    for k in range(5):
+        distances = []
+        for step in (_STEP, -_STEP):
+            moved = second_from_first.copy()
+            if k < 3:
+                moved[:3, :3] = se3_exp(np.eye(6)[3 + k] * step)[:3, :3] @ moved[:3, :3]
+            else:
+                moved[:3, 3] += step * across[k - 3]
+            distances.append(sampson_distances(moved, pixels_a, pixels_b, matrix) / np.sqrt(variances))
+        slopes.append((distances[0] - distances[1]) / (2.0 * _STEP))
+    by_rotation, by_direction = np.array(slopes[:3]).T, np.array(slopes[3:]).T
+    compensated = by_rotation @ np.linalg.lstsq(by_rotation, by_direction, rcond=None)[0]
+    remaining = by_direction - compensated  # the part that no rotation can explain
+    information = float(np.linalg.svd(remaining, compute_uv=False)[-1])
+    return float(np.degrees(1.0 / information)) if information > 1e-9 else np.inf
+
+
+def sampson_distances(second_from_first: Floats, pixels_a: Floats, pixels_b: Floats, matrix: Floats) -> Floats:
+    """Return the signed Sampson distances (N,), pixels, of matches to their epipolar geometry (section 11.4.3)."""
+    fundamental, _ = fundamental_between(np.eye(4), second_from_first, matrix)
+    homogeneous_a, homogeneous_b = (np.column_stack([p, np.ones(len(p))]) for p in (pixels_a, pixels_b))
+    lines_b, lines_a = homogeneous_a @ fundamental.T, homogeneous_b @ fundamental
+    squares = (lines_a[:, :2] ** 2).sum(axis=1) + (lines_b[:, :2] ** 2).sum(axis=1)
+    return np.asarray((homogeneous_b * lines_b).sum(axis=1) / np.sqrt(np.maximum(squares, 1e-300)))

@@ -1,7 +1,7 @@
-"""Points from two views: where they are, and what there is to judge them by.
+"""Points triangulated from two views, with their errors, depths and parallax.
 
-Source of the algorithms: Hartley and Zisserman, "Multiple View Geometry", 2nd edition, chapter 12.
-Pixels are undistorted; poses are camera_from_world.
+Source of the algorithms: Hartley and Zisserman, "Multiple View Geometry", 2nd edition, chapter 12. Pixels are
+undistorted; poses are camera_from_world.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _MAX_SWEEPS = 30
 
 @compiled
 def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any) -> Any:
-    """Points (N, 3) in the world seen at `pixels_a`, `pixels_b` (N, 2): linear triangulation (section 12.2).
+    """Return the points (N, 3) in the world seen at `pixels_a`, `pixels_b` (N, 2): linear triangulation (section 12.2).
 
     Poses are camera_from_world (4, 4), `intrinsics` fx, fy, cx, cy. Coordinates of points at infinity are not finite.
     """
@@ -39,7 +39,7 @@ def triangulate(a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: A
 def triangulate_pair(
     a_from_world: Any, b_from_world: Any, pixel_a: Any, pixel_b: Any, intrinsics: Any, system: Any
 ) -> Any:
-    """Homogeneous coordinates of the point that two pixels show; see `triangulate`. `system` (4, 4) is overwritten."""
+    """Return homogeneous coordinates of the point at two pixels; see `triangulate`. Overwrites `system` (4, 4)."""
     fx, fy, cx, cy = intrinsics
     xa, ya = (pixel_a[0] - cx) / fx, (pixel_a[1] - cy) / fy
     xb, yb = (pixel_b[0] - cx) / fx, (pixel_b[1] - cy) / fy
@@ -53,7 +53,7 @@ def triangulate_pair(
 
 @compiled
 def _null_vector(system: Any) -> Any:
-    """The right singular vector of the least singular value of a (4, 4), which is overwritten.
+    """Return the right singular vector of the least singular value of a (4, 4), which is overwritten.
 
     One-sided Jacobi rotations make the columns orthogonal (Golub and Van Loan, section 8.6.3): as accurate as LAPACK's
     decomposition, which takes ten times as long at this size.
@@ -97,7 +97,7 @@ def judge_points(
     points: Any, a_from_world: Any, b_from_world: Any, pixels_a: Any, pixels_b: Any, intrinsics: Any,
     errors_a: Any, errors_b: Any, depths_a: Any, depths_b: Any, cosines: Any,
 ) -> None:  # fmt: skip
-    """Fill in, for each point (N, 3), its squared reprojection errors, depths and the cosine between its two rays."""
+    """Fill in squared reprojection errors, depths and the cosine between the two rays of each point (N, 3)."""
     fx, fy, cx, cy = intrinsics
     a, b = a_from_world, b_from_world
     center_a = -(a[:3, 3].copy() @ a[:3, :3].copy())
@@ -120,7 +120,7 @@ def judge_points(
 
 
 class TwoViewPoints:
-    """Points triangulated from two views, with what there is to judge them by.
+    """Points triangulated from two views, with their errors, depths and parallax.
 
     `points` (N, 3) in the world; `errors_a`, `errors_b` squared reprojection errors, px^2; `depths_a`, `depths_b`;
     `cosines` between the two rays; (N,) each. Points at infinity have depth -1 and cosine 1.

@@ -1,1 +1,1 @@
-"""Keyframes and points, what sees what, and how points are made, projected and merged."""
+"""The map: keyframes, map points and observations; triangulation, projection and fusion of points."""

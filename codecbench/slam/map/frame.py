@@ -15,35 +15,34 @@ from codecbench.slam.map.map import NONE, Map
 
 @dataclass
 class TrackingFrame:
-    """An image's features, the map points that they show, and its pose once known.
-
-    `points` (N,) index map points by feature, NONE where there is none; `camera_from_world` (4, 4); `reference` is the
-    keyframe that shares most points with it, itself once it is a keyframe; `decode` gives the features of the decoded
-    image, where keyframes are coded.
-    """
+    """The features of an image, the map points matched to them, and the frame's pose once known."""
 
     index: int
     timestamp_s: float
     features: Features
     points: NDArray[np.int64]
+    """Map point of each feature (N,), NONE if there is none."""
     camera_from_world: Array
+    """Pose (4, 4)."""
     reference: int = NONE
+    """The keyframe that shares most points with the frame; itself once it is a keyframe."""
     decode: Callable[[], Features] | None = None
+    """Returns the features of the decoded image, if keyframes are coded."""
 
     @classmethod
     def of(
         cls, index: int, timestamp_s: float, features: Features, decode: Callable[[], Features] | None = None
     ) -> TrackingFrame:
-        """A frame that shows no map point yet."""
+        """Return a frame that shows no map point yet."""
         return cls(index, timestamp_s, features, np.full(len(features), NONE, np.int64), np.eye(4), decode=decode)
 
     @property
-    def matched(self) -> NDArray[np.int64]:
+    def matched_features(self) -> NDArray[np.int64]:
         """The features that show a map point."""
         return np.nonzero(self.points >= 0)[0]
 
-    def synchronise(self, slam_map: Map) -> None:
-        """Take pose and points from the keyframe that this frame has become, as they are in the map now."""
+    def synchronize(self, slam_map: Map) -> None:
+        """Take pose and points, as they are in the map now, from the keyframe that this frame has become."""
         table = slam_map.keyframes
         self.camera_from_world = table.camera_from_world[self.reference].copy()
         self.points = table.points[self.reference, : len(self.features)].copy()

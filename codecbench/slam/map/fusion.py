@@ -1,4 +1,4 @@
-"""Merging duplicates: points searched in a keyframe that does not see them yet (ORB-SLAM VI-C)."""
+"""Fusing duplicate points: search points in a keyframe that does not see them yet (ORB-SLAM VI-C)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from codecbench.slam.map.projection import project_points
 
 
 class _Points(NamedTuple):
-    """What a view of the points depends on; see PointTable."""
+    """Columns of the point table that fusion reads; see PointTable."""
 
     positions: Any
     normals: Any
@@ -28,15 +28,20 @@ class _Points(NamedTuple):
 
 
 class _View(NamedTuple):
-    """A keyframe's pose and features: `camera_from_world` (4, 4), `intrinsics` (4,), `bounds` (4,) of the image,
-    `scale_factors` and `pixel_variances` (L,) of its levels; `points` (N,) that it sees; the rest as in Features."""
+    """A keyframe's pose and features; for the fields without a description see Features."""
 
     camera_from_world: Any
+    """Pose (4, 4)."""
     intrinsics: Any
+    """fx, fy, cx, cy (4,)."""
     bounds: Any
+    """Of the undistorted image (4,)."""
     scale_factors: Any
+    """Of the pyramid levels (L,)."""
     pixel_variances: Any
+    """Of the pyramid levels (L,), px^2."""
     points: Any
+    """Map point of each feature (N,), -1 for none."""
     pixels: Any
     octaves: Any
     descriptors: Any
@@ -46,24 +51,25 @@ class _View(NamedTuple):
 
 
 def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_from_world: Array) -> int:
-    """Project `points` into a keyframe: where a feature is free they are observed, where it shows another point the
-    two become one, the one that more keyframes see. Returns how many were matched.
+    """Project `points` into a keyframe and fuse them with what it shows there; returns how many were matched.
 
-    `camera_from_world` (4, 4) may differ from the keyframe's pose: a corrected one while a loop is closed.
+    If the matched feature is free, it observes the point. If it shows another point, the two become one: the one that
+    more keyframes see. `camera_from_world` (4, 4) may differ from the keyframe's pose: it is a corrected one while a
+    loop is closed.
     """
     table, features = slam_map.points, slam_map.keyframes.features[keyframe]
-    shown = slam_map.keyframes.points[keyframe, : len(features)]
+    seen_points = slam_map.keyframes.points[keyframe, : len(features)]
     view = _View(
         camera_from_world, camera.intrinsics, camera.bounds, slam_map.scale_factors, slam_map.pixel_variances,
-        shown, features.pixels, features.octaves, features.descriptors, features.cell_starts, features.cell_members,
-        features.grid,
+        seen_points, features.pixels, features.octaves, features.descriptors, features.cell_starts,
+        features.cell_members, features.grid,
     )  # fmt: skip
     columns = table.positions, table.normals, table.min_distances, table.max_distances, table.descriptors, table.alive
-    candidates, found = _find_duplicates(points, _Points(*columns), view)
-    others = shown[found]
+    candidates, matches = _find_duplicates(points, _Points(*columns), view)
+    others = seen_points[matches]
     free = others < 0
     if free.any():
-        slam_map.observe(keyframe, found[free], candidates[free])
+        slam_map.observe(keyframe, matches[free], candidates[free])
     if not free.all():
         candidates, others = candidates[~free], others[~free]
         stronger = table.observation_counts[candidates] > table.observation_counts[others]
@@ -73,16 +79,16 @@ def fuse(slam_map: Map, camera: Camera, keyframe: int, points: Indices, camera_f
 
 @compiled
 def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
-    """Those of `points` (P,) that features of a view may show though it does not see them, (N,), and the features (N,).
+    """Return those of `points` (P,) that match features of a view but are not seen there (N,), and the features (N,).
 
-    A feature is given to the point that is nearest in Hamming distance, the first of equals.
+    A feature goes to the point that is nearest in Hamming distance, the first of equals.
     """
-    points = _absent(points, table.alive, view.points)
-    kept, pixels, octaves, _ = project_points(
+    points = _unobserved_points(points, table.alive, view.points)
+    visible, pixels, octaves, _ = project_points(
         points, table.positions, table.normals, table.min_distances, table.max_distances,
         view.camera_from_world, view.intrinsics, view.bounds, view.scale_factors, thresholds.VIEWING_COSINE,
     )  # fmt: skip
-    points = points[kept]
+    points = points[visible]
     descriptors, pixels_b, octaves_b, descriptors_b = table.descriptors, view.pixels, view.octaves, view.descriptors
     starts, members, grid, scale_factors = view.cell_starts, view.cell_members, view.grid, view.scale_factors
     columns, rows = int(grid[2]), int(grid[3])
@@ -99,7 +105,7 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
                 f = members[m]
                 dx, dy = pixels_b[f, 0] - pixels[i, 0], pixels_b[f, 1] - pixels[i, 1]
                 limit = thresholds.CHI2_95_2DOF * view.pixel_variances[octaves_b[f]]
-                near[count] = f  # no branch, which nobody could predict
+                near[count] = f  # no branch, which would be unpredictable
                 count += (octaves_b[f] >= octave - 1) & (octaves_b[f] <= octave) & (dx * dx + dy * dy < limit)
         best, best_distance = -1, thresholds.HAMMING_LOW + 1
         for k in range(count):
@@ -108,20 +114,20 @@ def _find_duplicates(points: Any, table: _Points, view: _View) -> Any:
                 best, best_distance = near[k], distance
         if best >= 0 and best_distance < distances[best]:
             winners[best], distances[best] = points[i], best_distance
-    found = np.nonzero(winners >= 0)[0]
-    return winners[found], found
+    matches = np.nonzero(winners >= 0)[0]
+    return winners[matches], matches
 
 
 @compiled
-def _absent(points: Any, alive: Any, shown: Any) -> Any:
-    """Those of `points` (P,) that live and that a view does not show, (N,)."""
+def _unobserved_points(points: Any, alive: Any, seen_points: Any) -> Any:
+    """Return those of `points` (P,) that are alive and not seen in a view, (N,)."""
     seen = np.zeros(len(alive), np.bool_)
-    for point in shown:
+    for point in seen_points:
         if point >= 0:
             seen[point] = True
-    kept, count = np.empty(len(points), np.int64), 0
+    unobserved, count = np.empty(len(points), np.int64), 0
     for point in points:
         if alive[point] and not seen[point]:
-            kept[count] = point
+            unobserved[count] = point
             count += 1
-    return kept[:count]
+    return unobserved[:count]

@@ -1,4 +1,4 @@
-"""The inner loops over what is known of points: their views, distances and descriptors, and who else sees them."""
+"""Compiled kernels of map points: viewing directions, distances, descriptors, redundancy and depths."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
 from codecbench.slam.features.hamming import hamming
-from codecbench.slam.map.kernels import FEATURE, KEYFRAME, NEXT
+from codecbench.slam.map.observation_kernels import FEATURE, KEYFRAME, NEXT
 
 
 @compiled
@@ -42,7 +42,9 @@ def refresh_points(
                 count += 1
             if k == reference:
                 reference_octave = keyframe_octaves[k, f]
-            elif reference_octave < 0 and links[link, NEXT] < 0:  # the reference no longer sees it: take the oldest
+            elif (
+                reference_octave < 0 and links[link, NEXT] < 0
+            ):  # the reference no longer sees the point: take the oldest
                 references[p] = reference = k
                 reference_octave = keyframe_octaves[k, f]
             link = links[link, NEXT]
@@ -61,7 +63,10 @@ def refresh_points(
 
 @compiled
 def _most_central(descriptors: Any, distances: Any) -> int:
-    """The one of `descriptors` (N, 4) with the least median distance to the others; `distances` is overwritten."""
+    """Return the index of the descriptor (N, 4) with the least median distance to the others.
+
+    Overwrites `distances`.
+    """
     count = len(descriptors)
     if count <= 2:
         return 0
@@ -79,7 +84,7 @@ def _most_central(descriptors: Any, distances: Any) -> int:
 
 @compiled
 def _lower_median(values: Any) -> int:
-    """The middle of a few values, the lower one of two, by insertion; sorts the lower half in place."""
+    """Return the middle of a few values, the lower of two, by insertion; sorts the lower half in place."""
     half = (len(values) - 1) // 2
     for i in range(1, len(values)):
         value = values[i]
@@ -95,8 +100,11 @@ def _lower_median(values: Any) -> int:
 
 @compiled
 def is_redundant(points: Any, keyframe: int, octaves: Any, heads: Any, links: Any) -> bool:
-    """Whether more than REDUNDANT_SHARE of a keyframe's points (F,) are seen by REDUNDANT_OBSERVATIONS others at the
-    same, a finer or the next scale; so it is without points."""
+    """Return whether others see enough of a keyframe's points (F,), or it has none.
+
+    More than REDUNDANT_SHARE of them must be seen by REDUNDANT_OBSERVATIONS others at the same, a finer or the next
+    scale.
+    """
     allowed = (1.0 - thresholds.REDUNDANT_SHARE) * np.count_nonzero(points >= 0)
     needed = 0
     for f in range(len(points)):
@@ -115,7 +123,7 @@ def is_redundant(points: Any, keyframe: int, octaves: Any, heads: Any, links: An
 
 @compiled
 def median_depth(points: Any, positions: Any, camera_from_world: Any) -> float:
-    """Median depth of `points` before a camera, 1 where there are none; negative indices are skipped."""
+    """Return the median depth of `points` before a camera, 1 if there are none; negative indices are skipped."""
     depths = np.empty(len(points))
     count = 0
     x, y, z, offset = camera_from_world[2]
@@ -132,7 +140,7 @@ def median_depth(points: Any, positions: Any, camera_from_world: Any) -> float:
 
 @compiled
 def _nth_smallest(values: Any, n: int) -> float:
-    """The value at place n of the sorted values, which are reordered (Hoare 1961); numba's median compiles for 2 s."""
+    """Return the value at place n of the sorted values; reorders them (Hoare 1961). numba's median compiles for 2 s."""
     low, high = 0, len(values) - 1
     while low < high:
         pivot, i, j = values[(low + high) // 2], low, high

@@ -1,4 +1,4 @@
-"""Where map points should appear in a view."""
+"""Projection of map points into a view."""
 
 from __future__ import annotations
 
@@ -18,31 +18,37 @@ from codecbench.slam.map.map import Indices, Map
 
 @dataclass(frozen=True)
 class Projections:
-    """The points that a view should show: their indices, `pixels` (N, 2), pyramid `octaves` (N,), `cosines` (N,)
-    between the ray and the mean viewing direction."""
+    """The points that a view should show."""
 
     points: Indices
+    """Indices of the points (N,)."""
     pixels: Array
+    """Where they should appear (N, 2)."""
     octaves: NDArray[np.int64]
+    """Pyramid levels (N,) at which they should appear."""
     cosines: Array
+    """Between the ray and the mean viewing direction (N,)."""
 
 
 def project_map_points(
     slam_map: Map, points: Indices, camera_from_world: Array, camera: Camera, min_cosine: float
 ) -> Projections:
-    """Those of `points` that the camera should see: in front, inside the image, at a distance that the pyramid
-    covers, and from within acos(`min_cosine`) of their mean viewing direction (ORB-SLAM V-D)."""
+    """Return those of `points` that the camera should see (ORB-SLAM V-D).
+
+    They lie in front of it, inside the image, at a distance that the pyramid covers, and are seen from within
+    acos(`min_cosine`) of their mean viewing direction.
+    """
     table = slam_map.points
-    kept, pixels, octaves, cosines = project_points(
+    visible, pixels, octaves, cosines = project_points(
         points, table.positions, table.normals, table.min_distances, table.max_distances,
         camera_from_world, camera.intrinsics, camera.bounds, slam_map.scale_factors, min_cosine,
     )  # fmt: skip
-    return Projections(points[kept], pixels, octaves, cosines)
+    return Projections(points[visible], pixels, octaves, cosines)
 
 
 @compiled
 def project_ahead(points: Any, positions: Any, camera_from_world: Any, intrinsics: Any) -> Any:
-    """Which of `points` (N,) lie ahead of the camera, as indices into them (M,), and their pixels (M, 2)."""
+    """Return which of `points` (N,) lie ahead of the camera, as indices into them (M,), and their pixels (M, 2)."""
     fx, fy, cx, cy = intrinsics
     pose = camera_from_world
     ahead = np.empty(len(points), np.int64)
@@ -64,12 +70,15 @@ def project_points(
     points: Any, positions: Any, normals: Any, min_distances: Any, max_distances: Any,
     camera_from_world: Any, intrinsics: Any, bounds: Any, scale_factors: Any, min_cosine: float,
 ) -> Any:  # fmt: skip
-    """project_map_points for compiled code, on columns of the table of points: which of `points` (N,) should be
-    seen, as indices into them (M,), their pixels (M, 2), octaves (M,) and cosines (M,)."""
+    """Project as project_map_points does, from columns of the point table, for compiled code.
+
+    Returns which of `points` (N,) should be seen, as indices into them (M,), their pixels (M, 2), octaves (M,) and
+    cosines (M,).
+    """
     fx, fy, cx, cy = intrinsics
     pose = camera_from_world
     n = len(points)
-    kept = np.empty(n, np.int64)
+    visible = np.empty(n, np.int64)
     pixels = np.empty((n, 2))
     octaves = np.empty(n, np.int64)
     cosines = np.empty(n)
@@ -98,9 +107,9 @@ def project_points(
         if cosine < min_cosine:
             continue
         octave = math.ceil(math.log(max_distances[p] / distance) / log_step - 1e-9)
-        kept[count] = i
+        visible[count] = i
         pixels[count, 0], pixels[count, 1] = u, v
         octaves[count] = min(max(octave, 0), top)
         cosines[count] = cosine
         count += 1
-    return kept[:count], pixels[:count], octaves[:count], cosines[:count]
+    return visible[:count], pixels[:count], octaves[:count], cosines[:count]

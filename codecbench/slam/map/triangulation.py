@@ -1,6 +1,6 @@
-"""New points for a new keyframe: its free features are searched in its neighbours, on epipolar lines (ORB-SLAM VI-C).
+"""Triangulation of a new keyframe's free features, matched on epipolar lines in its neighbors (ORB-SLAM VI-C).
 
-One compiled call does all neighbours. Nothing here checks an index.
+One compiled call does all neighbors. Nothing here checks an index.
 """
 
 from __future__ import annotations
@@ -19,24 +19,23 @@ from codecbench.slam.geometry.two_view import fundamental_between
 from codecbench.slam.geometry.two_view_points import triangulate_pair
 from codecbench.slam.map.point_kernels import median_depth
 from codecbench.slam.map.tables import Views
-from codecbench.slam.optimisation.bundle_kernels import reprojection
+from codecbench.slam.optimization.bundle_kernels import reprojection
 
 
 @compiled
 def triangulate_features(
     keyframe: int, neighbors: Any, views: Views, positions: Any, camera_matrix: Any, scale_factors: Any, variances: Any
 ) -> Any:
-    """Points that free features of `keyframe` show together with free features of its `neighbors`, first come first
-    served.
+    """Triangulate points that free features of `keyframe` and of its `neighbors` show, first come first served.
 
-    `positions` (P, 3) of the map's points; of each level (L,) its scale factor and the variance of a keypoint's place,
-    px^2. Returns for each new point its
-    feature in `keyframe` (N,), the neighbour (N,), the feature there (N,), and its place in the world (N, 3).
+    `positions` (P, 3) are those of the map's points; `scale_factors` and `variances` (px^2, of a keypoint's position)
+    are those of the levels (L,). Returns for each new point its feature in `keyframe` (N,), the neighbor (N,), the
+    feature there (N,), and its position in the world (N, 3).
     """
     count = views.counts[keyframe]
     free = views.points[keyframe, :count] < 0
     features, partners, partner_features = np.empty((3, count), np.int64)
-    points, system, made = np.empty((count, 3)), np.empty((4, 4)), 0
+    points, system, point_count = np.empty((count, 3)), np.empty((4, 4)), 0
     for neighbor in neighbors:
         depth = median_depth(views.points[neighbor], positions, views.poses[neighbor])
         if _distance(views.centers[keyframe], views.centers[neighbor]) < thresholds.TRIANGULATION_MIN_BASELINE * depth:
@@ -45,12 +44,21 @@ def triangulate_features(
         for f in range(count):
             other = matches[f]
             if other >= 0 and _triangulate_match(
-                keyframe, f, neighbor, other, views, camera_matrix, scale_factors, variances, system, points[made]
+                keyframe,
+                f,
+                neighbor,
+                other,
+                views,
+                camera_matrix,
+                scale_factors,
+                variances,
+                system,
+                points[point_count],
             ):
-                features[made], partners[made], partner_features[made] = f, neighbor, other
+                features[point_count], partners[point_count], partner_features[point_count] = f, neighbor, other
                 free[f] = False
-                made += 1
-    return features[:made], partners[:made], partner_features[:made], points[:made]
+                point_count += 1
+    return features[:point_count], partners[:point_count], partner_features[:point_count], points[:point_count]
 
 
 @compiled
@@ -62,13 +70,13 @@ def _distance(a: Any, b: Any) -> float:
 def _match_on_lines(
     keyframe: int, neighbor: int, free: Any, views: Views, camera_matrix: Any, scale_factors: Any, variances: Any
 ) -> Any:
-    """Match the free features of a keyframe with those of a neighbour near their epipolar lines (F,), -1 for none.
+    """Match free features of a keyframe with a neighbor's near their epipolar lines; returns (F,), -1 for none.
 
-    A feature of the neighbour is given to the one that is nearest in Hamming distance, the first of equals.
+    A feature of the neighbor goes to the one that is nearest in Hamming distance, the first of equals.
     """
     fundamental, epipole = fundamental_between(views.poses[keyframe], views.poses[neighbor], camera_matrix)
     candidates, starts = _candidates(neighbor, epipole, views, scale_factors)
-    count = len(candidates)  # three arrays: parts of one would not be known to be contiguous, and not be vector code
+    count = len(candidates)  # three arrays: columns of one are not contiguous, and would not become vector code
     xs, ys, reaches = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
     for k, f in enumerate(candidates):
         xs[k], ys[k] = views.pixels[neighbor, f, 0], views.pixels[neighbor, f, 1]
@@ -102,7 +110,7 @@ def _match_on_lines(
 def _mark_near_line(
     b_from_a: Any, x: float, y: float, xs: Any, ys: Any, reaches: Any, first: int, last: int, near: Any
 ) -> None:
-    """Mark which places, `first` to `last`, are within their reach of the epipolar line of a pixel, many at once."""
+    """Mark which positions, `first` to `last`, are within their reach of the epipolar line of a pixel."""
     a = b_from_a[0, 0] * x + b_from_a[0, 1] * y + b_from_a[0, 2]
     b = b_from_a[1, 0] * x + b_from_a[1, 1] * y + b_from_a[1, 2]
     c = b_from_a[2, 0] * x + b_from_a[2, 1] * y + b_from_a[2, 2]
@@ -115,9 +123,10 @@ def _mark_near_line(
 
 @compiled
 def _list_marked(eights: Any, marks: Any, length: int, out: Any) -> int:
-    """Write the places of the nonzero among the first `length` marks; returns their number.
+    """Write the indices of the nonzero among the first `length` marks to `out`; returns their number.
 
-    `eights` holds the same marks eight at a time: most lines pass by most features. No branch depends on a single mark.
+    `eights` holds the same marks eight at a time, because most lines pass by most features. No branch depends on one
+    mark.
     """
     marks[length : length + 8] = 0
     count = 0
@@ -131,24 +140,24 @@ def _list_marked(eights: Any, marks: Any, length: int, out: Any) -> int:
 
 @compiled
 def _candidates(neighbor: int, epipole: Any, views: Views, scale_factors: Any) -> Any:
-    """The free features of a keyframe (N,) level by level, and where each level begins (levels + 1,).
+    """Return the free features of a keyframe (N,), level by level, and where each level begins (levels + 1,).
 
-    Left out are those so near to the epipole that their depth is undetermined.
+    Features too near to the epipole are left out: their depth is undetermined.
     """
     count = views.counts[neighbor]
     octaves = views.octaves[neighbor]
-    kept, levels, made = np.empty(count, np.int64), np.empty(count, np.int64), 0
+    candidates, levels, candidate_count = np.empty(count, np.int64), np.empty(count, np.int64), 0
     starts = np.zeros(len(scale_factors) + 1, np.int64)
     for f in range(count):
         nearest = thresholds.EPIPOLE_RADIUS_PX**2 * scale_factors[octaves[f]]
         dx, dy = views.pixels[neighbor, f, 0] - epipole[0], views.pixels[neighbor, f, 1] - epipole[1]
         if views.points[neighbor, f] < 0 and dx * dx + dy * dy >= nearest:
-            kept[made], levels[made] = f, octaves[f]
+            candidates[candidate_count], levels[candidate_count] = f, octaves[f]
             starts[octaves[f] + 1] += 1
-            made += 1
+            candidate_count += 1
     for octave in range(len(scale_factors)):
         starts[octave + 1] += starts[octave]
-    return kept[stable_order(levels[:made], len(scale_factors))], starts
+    return candidates[stable_order(levels[:candidate_count], len(scale_factors))], starts
 
 
 @compiled

@@ -1,1 +1,1 @@
-"""The first map from two frames, its growth around each new keyframe, and closing loops."""
+"""Mapping: the first map, its growth around new keyframes, loop closing and map merging."""

@@ -1,4 +1,4 @@
-"""The first map, from two frames of unknown motion (ORB-SLAM IV)."""
+"""Initialization: the first map, from two frames of unknown motion (ORB-SLAM IV)."""
 
 from __future__ import annotations
 
@@ -10,39 +10,38 @@ from numpy.typing import NDArray
 
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam import thresholds
-from codecbench.slam.features.extractor import Features
+from codecbench.slam.features.extractor import Features, pixel_variances
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
-from codecbench.slam.features.uncertainty import pixel_variances
 from codecbench.slam.geometry import two_view as geometry
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.linear_systems import copy_numbers
-from codecbench.slam.geometry.motion_uncertainty import direction_deviation_deg
+from codecbench.slam.geometry.two_view import direction_deviation_deg
 from codecbench.slam.geometry.two_view_points import TwoViewPoints
 from codecbench.slam.map.frame import TrackingFrame
 from codecbench.slam.map.map import Map
-from codecbench.slam.mapping.decoded_keyframes import match_decoded, use_decoded
-from codecbench.slam.mapping.mapper import Mapper, adjust_keyframes
+from codecbench.slam.mapping.mapper import Mapper, adjust_keyframes, match_decoded_features, use_decoded_features
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class TwoViewStart:
-    """A motion and points that two frames agree on.
-
-    `second_from_first` (4, 4), unit translation; `points_first` (N, 3) in the first camera; `features_first`,
-    `features_second` (N,) indices of the features that show them; `model` is "homography" or "fundamental".
-    """
+class TwoViewReconstruction:
+    """A motion and points that two frames agree on."""
 
     second_from_first: Floats
+    """Motion (4, 4) of unit translation."""
     points_first: Floats
+    """Points (N, 3) in the frame of the first camera."""
     features_first: NDArray[np.int64]
+    """Features (N,) of the first frame that show the points."""
     features_second: NDArray[np.int64]
+    """Features (N,) of the second frame that show the points."""
     model: str
+    """"homography" or "fundamental"."""
 
 
-def match_for_start(first: Features, second: Features, camera: Camera) -> NDArray[np.int64]:
-    """Features of `second` that match those of `first` (N,), -1 for none: within a window, on the same level."""
+def match_for_initialization(first: Features, second: Features, camera: Camera) -> NDArray[np.int64]:
+    """Match features (N,) of `first` with `second` in a window and on one level; returns (N,), -1 for none."""
     octaves = first.octaves.astype(np.int64)
     radii = np.full(len(first), camera.pixels_across(thresholds.INIT_WINDOW_DEG))
     matches = match_in_windows(
@@ -52,20 +51,20 @@ def match_for_start(first: Features, second: Features, camera: Camera) -> NDArra
     return np.asarray(keep_consistent_rotations(matches, first.angles, second.angles))
 
 
-def start_from_two_views(
+def reconstruct_two_views(
     first: Features,
     second: Features,
     matches: NDArray[np.int64],
     level_variances: Floats,
     camera: Camera,
     rng: np.random.Generator,
-) -> TwoViewStart | str:
-    """Motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
+) -> TwoViewReconstruction | str:
+    """Return motion and points from `matches` (N,) of `first` with `second`, or the reason why there are none.
 
-    `level_variances` (L,) say how well a feature's place is known on each level, px^2.
-    Homography and fundamental matrix are fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A
-    motion is accepted when no mere rotation explains the matches as well, when it alone puts most points in front of
-    both cameras with enough parallax, and when the matches leave little doubt about its direction.
+    `level_variances` (L,) are those of a feature's position on each level, px^2. Homography and fundamental matrix are
+    fitted side by side; S_H / (S_H + S_F) chooses (ORB-SLAM IV, equation 4). A motion is accepted if no mere rotation
+    explains the matches as well, if it alone puts most points in front of both cameras with enough parallax, and if the
+    matches leave little doubt about its direction.
     """
     features_first = np.nonzero(matches >= 0)[0]
     features_second = matches[features_first]
@@ -73,15 +72,19 @@ def start_from_two_views(
     if len(features_first) < thresholds.INIT_MIN_MATCHES:
         return f"{len(features_first)} matches between the first two frames"
     variances = level_variances[first.octaves[features_first]]
-    samples = rng.integers(0, len(pixels_a), (thresholds.INIT_RANSAC_ITERATIONS, 8))  # one with a repeat just loses
-    homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_both(pixels_a, pixels_b, variances, samples)
+    samples = rng.integers(
+        0, len(pixels_a), (thresholds.INIT_RANSAC_ITERATIONS, 8)
+    )  # a sample with a repeat just loses
+    homography, inliers_h, score_h, fundamental, inliers_f, score_f = _fit_models(
+        pixels_a, pixels_b, variances, samples
+    )
     if score_h + score_f <= 0.0:
         return "neither a homography nor a fundamental matrix fits"
     planar = score_h / (score_h + score_f) > thresholds.INIT_HOMOGRAPHY_SHARE
     inliers = inliers_h if planar else inliers_f
-    turned = _count_turned(homography, pixels_a, pixels_b, variances, camera)
-    if turned > thresholds.INIT_ROTATION_SHARE * inliers.sum():
-        return f"a rotation explains {turned} matches, a motion {inliers.sum()}"
+    rotation_inliers = _count_rotation_inliers(homography, pixels_a, pixels_b, variances, camera)
+    if rotation_inliers > thresholds.INIT_ROTATION_SHARE * inliers.sum():
+        return f"a rotation explains {rotation_inliers} matches, a motion {inliers.sum()}"
     if planar:
         motions = geometry.decompose_homography(homography, camera.matrix)
     else:
@@ -93,15 +96,19 @@ def start_from_two_views(
     deviation = direction_deviation_deg(motion, pixels_a[good], pixels_b[good], variances[good], camera.matrix)
     if deviation > thresholds.INIT_MAX_DEVIATION_DEG:
         return f"the direction of motion is known to {deviation:.1f} degrees"
-    kept = np.nonzero(good)[0]
-    return TwoViewStart(
-        motion, points[good], features_first[kept], features_second[kept], "homography" if planar else "fundamental"
+    selected = np.nonzero(good)[0]
+    return TwoViewReconstruction(
+        motion,
+        points[good],
+        features_first[selected],
+        features_second[selected],
+        "homography" if planar else "fundamental",
     )
 
 
 @compiled
-def _fit_both(pixels_a: Any, pixels_b: Any, variances: Any, samples: Any) -> Any:
-    """The best homography and fundamental matrix of the samples (S, 8), each fitted again to its own inliers."""
+def _fit_models(pixels_a: Any, pixels_b: Any, variances: Any, samples: Any) -> Any:
+    """Return the best homography and fundamental matrix of samples (S, 8), each refitted to its inliers."""
     normalized_a, normalizer_a = geometry.normalize_pixels(pixels_a)
     normalized_b, normalizer_b = geometry.normalize_pixels(pixels_b)
     undo_b = np.linalg.inv(normalizer_b)
@@ -132,10 +139,13 @@ def _fit_both(pixels_a: Any, pixels_b: Any, variances: Any, samples: Any) -> Any
     return homography, inliers_h, score_h, fundamental, inliers_f, score_f
 
 
-def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, variances: Floats, camera: Camera) -> int:
-    """How many matches a camera that only turns explains: the rotation nearest to a homography, fitted to its inliers.
+def _count_rotation_inliers(
+    homography: Floats, pixels_a: Floats, pixels_b: Floats, variances: Floats, camera: Camera
+) -> int:
+    """Return how many matches a camera that only turns explains, by the rotation nearest to a homography.
 
-    Without translation there is no depth; a plane or a fundamental matrix then fits only the noise.
+    The rotation is fitted to its inliers. Without translation there is no depth; a plane or a fundamental matrix then
+    fits only the noise.
     """
     to_rays = np.linalg.inv(camera.matrix)
     rays_a, rays_b = camera.rays(pixels_a), camera.rays(pixels_b)
@@ -155,9 +165,10 @@ def _count_turned(homography: Floats, pixels_a: Floats, pixels_b: Floats, varian
 def _choose_motion(
     motions: list[Floats], pixels_a: Floats, pixels_b: Floats, variances: Floats, inlier_count: int, camera: Camera
 ) -> tuple[Floats, Floats, NDArray[np.bool_]] | str:
-    """The one motion that most points agree with, its points (N, 3) and which of them are good (N,).
+    """Return the one motion that most points agree with, its points (N, 3) and which of them are good (N,).
 
-    All matches have a say, not the model's inliers alone: what lies off a plane tells its two motions apart.
+    All matches count, not the model's inliers alone: points off a plane distinguish its two motions. Returns the reason
+    if no motion is clearly best.
     """
     results, limits = [], thresholds.CHI2_95_2DOF * variances
     for motion in motions:
@@ -170,7 +181,7 @@ def _choose_motion(
     if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_WINNER_SHARE * inlier_count):
         return f"the best motion agrees with {count} points where the model had {inlier_count}"
     for rival_count, rival, _, rival_agree in results[1:]:
-        apart = int((agree != rival_agree).sum())  # matches that tell the two from each other; winner's less rival's:
+        apart = int((agree != rival_agree).sum())  # matches that distinguish the two; winner's less rival's:
         if count - rival_count < thresholds.INIT_RIVAL_SIGMAS * np.sqrt(apart) and not _nearly_equal(rival, motion):
             return f"two motions agree with {count} and {rival_count} points"
     angles = np.degrees(np.arccos(np.clip(views.cosines[agree], -1.0, 1.0)))
@@ -181,7 +192,7 @@ def _choose_motion(
 
 
 def _nearly_equal(motion_a: Floats, motion_b: Floats) -> bool:
-    """Whether two motions of unit translation mean the same start; bundle adjustment settles what is left."""
+    """Return whether two motions of unit translation mean the same start; bundle adjustment removes the rest."""
     limit = np.cos(np.radians(thresholds.INIT_SAME_MOTION_DEG))
     turn = (np.trace(motion_a[:3, :3].T @ motion_b[:3, :3]) - 1.0) / 2.0
     return bool(turn > limit and motion_a[:3, 3] @ motion_b[:3, 3] > limit)
@@ -213,41 +224,46 @@ class Initializer:
         if first is None or frame.index - first.index > thresholds.INIT_MAX_FRAMES:
             self._first = frame if enough else None
             return "waiting for a second view" if enough else f"{len(frame.features)} features"
-        matches = match_for_start(first.features, frame.features, self._camera)
+        matches = match_for_initialization(first.features, frame.features, self._camera)
         if not enough or int((matches >= 0).sum()) < thresholds.INIT_MIN_MATCHES:
             self._first = frame if enough else None
             return f"{int((matches >= 0).sum())} matches between the first two frames"
-        start = start_from_two_views(first.features, frame.features, matches, self._variances, self._camera, self._rng)
+        start = reconstruct_two_views(first.features, frame.features, matches, self._variances, self._camera, self._rng)
         if isinstance(start, str):
             return start
         if first.decode is not None or frame.decode is not None:
-            start = self._carry_over(first, frame, start)
+            start = self._transfer_to_decoded(first, frame, start)
             if len(start.points_first) < thresholds.INIT_MIN_POINTS:
                 return f"{len(start.points_first)} points found again in the decoded images"
-        started = self._build(first, frame, start, map_index)
-        if not isinstance(started, str):
+        outcome = self._build(first, frame, start, map_index)
+        if not isinstance(outcome, str):
             self._first = None
-        return started
+        return outcome
 
-    def _carry_over(self, first: TrackingFrame, second: TrackingFrame, start: TwoViewStart) -> TwoViewStart:
-        """The same start on the features of the two decoded images."""
-        found = []
+    def _transfer_to_decoded(
+        self, first: TrackingFrame, second: TrackingFrame, start: TwoViewReconstruction
+    ) -> TwoViewReconstruction:
+        """Return the same reconstruction on the features of the two decoded images."""
+        matches = []
         for frame, features in ((first, start.features_first), (second, start.features_second)):
             raw = frame.features
             if frame.decode is None:
-                found.append(features)
+                matches.append(features)
                 continue
-            use_decoded(frame, self._scale_factors)
-            found.append(match_decoded(raw, frame.features, features, self._scale_factors))
-        kept = (found[0] >= 0) & (found[1] >= 0)
+            use_decoded_features(frame, self._scale_factors)
+            matches.append(match_decoded_features(raw, frame.features, features, self._scale_factors))
+        common = (matches[0] >= 0) & (matches[1] >= 0)
         return replace(
-            start, points_first=start.points_first[kept], features_first=found[0][kept], features_second=found[1][kept]
+            start,
+            points_first=start.points_first[common],
+            features_first=matches[0][common],
+            features_second=matches[1][common],
         )
 
     def _build(
-        self, first: TrackingFrame, second: TrackingFrame, start: TwoViewStart, index: int
+        self, first: TrackingFrame, second: TrackingFrame, start: TwoViewReconstruction, index: int
     ) -> tuple[Map, Mapper] | str:
-        """Map from two views: bundle adjustment over both, then the scale."""
+        """Build a map from two views: bundle adjustment over both, then the scale."""
         slam_map = Map(index, self._scale_factors, self._variances, self._features_limit)
         mapper = Mapper(slam_map, self._camera)
         second.camera_from_world = start.second_from_first

@@ -1,5 +1,7 @@
-"""Closing a loop: merge what is seen twice, spread the error over the essential graph, adjust the whole map
-(ORB-SLAM VII-C, VII-D)."""
+"""Loop closing: fuse both sides of the loop, optimize the essential graph, adjust the whole map.
+
+Source: ORB-SLAM VII-C, VII-D.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,14 @@ from codecbench.slam.map.fusion import fuse
 from codecbench.slam.map.map import Indices, Map
 from codecbench.slam.mapping.loop_detection import Loop, rigid_part
 from codecbench.slam.mapping.mapper import adjust_keyframes
-from codecbench.slam.optimisation import pose_graph
+from codecbench.slam.optimization import pose_graph
 
 
 def close_loop(slam_map: Map, camera: Camera, loop: Loop) -> Array:
-    """Correct the map for a loop; returns `before_from_after` (4, 4), the similarity that takes the corrected
-    neighbourhood of the loop's keyframe back to where it was."""
+    """Correct the map for a loop; returns `before_from_after` (4, 4), a similarity.
+
+    It takes the corrected surroundings of the loop's keyframe back to where they were.
+    """
     table = slam_map.keyframes
     old = table.camera_from_world[: table.count].copy()
     edges = _essential_edges(slam_map)
@@ -27,14 +31,14 @@ def close_loop(slam_map: Map, camera: Camera, loop: Loop) -> Array:
     for k in group:
         k_from_keyframe = old[k] @ np.linalg.inv(old[loop.keyframe])
         corrected[k] = sim3_compose(k_from_keyframe, loop.keyframe_from_world)
-    known = _pairs_with(slam_map, group, 1)
-    _merge_sides(slam_map, camera, loop, group, corrected)
+    pairs_before = _border_pairs(slam_map, group, 1)
+    _fuse_loop_sides(slam_map, camera, loop, group, corrected)
     loop_edges = np.array(
-        sorted(_pairs_with(slam_map, group, thresholds.COVISIBLE_MIN_POINTS) - known), dtype=np.int64
+        sorted(_border_pairs(slam_map, group, thresholds.COVISIBLE_MIN_POINTS) - pairs_before), dtype=np.int64
     ).reshape(-1, 2)
-    slam_map.loop_edges.append((loop.matched, loop.keyframe))
-    new = _spread(slam_map, old, corrected, edges, loop_edges, loop.matched)
-    _apply(slam_map, old, new)
+    slam_map.loop_edges.append((loop.matched_keyframe, loop.keyframe))
+    new = _optimize_essential_graph(slam_map, old, corrected, edges, loop_edges, loop.matched_keyframe)
+    _apply_corrections(slam_map, old, new)
     adjust_map(slam_map, camera)
     scale = sim3_scale(new[loop.keyframe])
     now = table.camera_from_world[loop.keyframe]
@@ -43,7 +47,7 @@ def close_loop(slam_map: Map, camera: Camera, loop: Loop) -> Array:
 
 
 def adjust_map(slam_map: Map, camera: Camera, iterations: tuple[int, ...] = (10, 10)) -> None:
-    """Bundle adjustment of all keyframes and points; the oldest keyframe stays."""
+    """Adjust all keyframes and points by bundle adjustment; the oldest keyframe stays."""
     keyframes = slam_map.alive_keyframes
     if len(keyframes) > 1:
         adjust_keyframes(
@@ -52,27 +56,29 @@ def adjust_map(slam_map: Map, camera: Camera, iterations: tuple[int, ...] = (10,
         )  # fmt: skip
 
 
-def _merge_sides(slam_map: Map, camera: Camera, loop: Loop, group: Indices, corrected: Array) -> None:
-    """Let the loop side's points be seen by the keyframes of this side, instead of their duplicates."""
-    side = np.concatenate([[loop.matched], slam_map.neighbors(loop.matched)[0]])
+def _fuse_loop_sides(slam_map: Map, camera: Camera, loop: Loop, group: Indices, corrected: Array) -> None:
+    """Let the keyframes of this side see the loop side's points, instead of their duplicates."""
+    side = np.concatenate([[loop.matched_keyframe], slam_map.neighbors(loop.matched_keyframe)[0]])
     points = slam_map.points_of(side)
     for feature in np.nonzero(loop.points >= 0)[0]:
         new = int(slam_map.resolve_points(loop.points[feature : feature + 1])[0])
-        shown = int(slam_map.keyframes.points[loop.keyframe, feature])
-        if new < 0 or new == shown:
+        current = int(slam_map.keyframes.points[loop.keyframe, feature])
+        if new < 0 or new == current:
             continue
-        if shown >= 0:
-            slam_map.replace_points(np.array([shown]), np.array([new]))
+        if current >= 0:
+            slam_map.replace_points(np.array([current]), np.array([new]))
         elif not (slam_map.keyframes.points[loop.keyframe] == new).any():
             slam_map.observe(loop.keyframe, np.array([feature]), np.array([new]))
     for k in group:
         fuse(slam_map, camera, int(k), points, np.asarray(rigid_part(corrected[k])))
-    own = slam_map.points_of(group)
-    slam_map.refresh_points(own)
+    slam_map.refresh_points(slam_map.points_of(group))
 
 
 def _essential_edges(slam_map: Map) -> Indices:
-    """Spanning tree, loops closed before, and pairs with many shared points: (E, 2), younger keyframe first."""
+    """Return the edges of the essential graph (E, 2), younger keyframe first.
+
+    They are the spanning tree, the loops closed before, and pairs with many shared points.
+    """
     edges = {(max(i, j), min(i, j)) for i, j in slam_map.loop_edges}
     for k in slam_map.alive_keyframes:
         if k > 0 and slam_map.keyframes.parents[k] >= 0:
@@ -83,11 +89,11 @@ def _essential_edges(slam_map: Map) -> Indices:
     return np.array(sorted(e for e in edges if alive[e[0]] and alive[e[1]]), dtype=np.int64).reshape(-1, 2)
 
 
-def _pairs_with(slam_map: Map, group: Indices, min_points: int) -> set[tuple[int, int]]:
-    """Pairs (k, j) of a keyframe k of `group` and one j outside it that share at least `min_points` points.
+def _border_pairs(slam_map: Map, group: Indices, min_points: int) -> set[tuple[int, int]]:
+    """Return pairs (k, j) of a keyframe k of `group` and one j outside it that share at least `min_points` points.
 
-    Those that appear when the two sides of a loop are merged measure the loop. Pairs that shared even one point before
-    must not: of such a pair only k has been corrected, and as measurements they would hold the map torn at the border
+    Pairs that appear when the two sides of a loop are fused measure the loop. Pairs that shared even one point before
+    must not: only k of such a pair has been corrected, and as measurements they would keep the map torn at the border
     of the group.
     """
     inside = {int(k) for k in group}
@@ -96,8 +102,10 @@ def _pairs_with(slam_map: Map, group: Indices, min_points: int) -> set[tuple[int
     }
 
 
-def _spread(slam_map: Map, old: Array, corrected: Array, edges: Indices, loop_edges: Indices, fixed: int) -> Array:
-    """Poses as similarities (K, 4, 4) after optimising the essential graph; dead keyframes keep their pose."""
+def _optimize_essential_graph(
+    slam_map: Map, old: Array, corrected: Array, edges: Indices, loop_edges: Indices, fixed: int
+) -> Array:
+    """Return poses as similarities (K, 4, 4) that fit the essential graph; dead keyframes keep theirs."""
     alive = slam_map.alive_keyframes
     slots = np.full(slam_map.keyframes.count, -1, np.int64)
     slots[alive] = np.arange(len(alive))
@@ -111,16 +119,16 @@ def _spread(slam_map: Map, old: Array, corrected: Array, edges: Indices, loop_ed
     return new
 
 
-def _apply(slam_map: Map, old: Array, new: Array) -> None:
+def _apply_corrections(slam_map: Map, old: Array, new: Array) -> None:
     """Move keyframes and points; a point moves with its reference keyframe."""
     table, points = slam_map.keyframes, slam_map.points
     alive = slam_map.alive_keyframes
     moved = slam_map.alive_points
     references = points.references[moved].copy()
-    which, seen_by, _ = slam_map.observations(moved)
+    point_rows, seen_by, _ = slam_map.observations(moved)
     dead = ~table.alive[references]
     first_seen = np.zeros(len(moved), np.int64)
-    first_seen[which] = seen_by
+    first_seen[point_rows] = seen_by
     references[dead] = first_seen[dead]
     transforms = np.tile(np.eye(4), (table.count, 1, 1))
     for k in alive:

@@ -1,4 +1,4 @@
-"""Seeing that a keyframe shows a place that its map, or another one, already has (ORB-SLAM VII-A, VII-B)."""
+"""Loop detection: a keyframe shows a known place of its map or of another one (ORB-SLAM VII-A, VII-B)."""
 
 from __future__ import annotations
 
@@ -19,19 +19,24 @@ from codecbench.slam.places.recognition import PlaceRecognition
 
 @dataclass(frozen=True)
 class Loop:
-    """`keyframe` shows the place of `matched`, which may be in another map: `keyframe_from_world` (4, 4), a similarity,
-    says where it is seen from there; `points` (N,), by feature, the points of that side that it shows; `inliers` their
-    number."""
+    """A keyframe that shows the place of another keyframe, which may be in another map."""
 
     keyframe: int
-    matched: int
+    matched_keyframe: int
+    """The keyframe of the place that is seen again."""
     keyframe_from_world: Array
+    """Where `keyframe` is in the matched keyframe's map: a similarity (4, 4)."""
     points: Indices
+    """The matched side's point that each feature of `keyframe` shows (N,), NONE for none."""
     inliers: int
+    """Number of `points`."""
 
 
 class LoopDetector:
-    """Watches the keyframes of a map `here` for places of a map `there`: the same for loops, another to merge."""
+    """Detects places of a map `there` in the keyframes of a map `here`.
+
+    The two are the same map for loops, different ones for merging.
+    """
 
     def __init__(
         self, here: PlaceRecognition, there: PlaceRecognition, camera: Camera, rng: np.random.Generator
@@ -40,10 +45,10 @@ class LoopDetector:
         self._there = there
         self._camera = camera
         self._rng = rng
-        self._groups: list[tuple[frozenset[int], int]] = []  # covisible candidates, and how long they have held
+        self._groups: list[tuple[frozenset[int], int]] = []  # covisible candidates, and for how many keyframes in a row
 
     def detect(self, keyframe: int) -> Loop | None:
-        """The loop that `keyframe` closes, or would close if the maps were one; None if there is none."""
+        """Return the loop that `keyframe` closes, or would close if the maps were one; None if there is none."""
         for candidate in self._consistent_candidates(keyframe):
             loop = self._verify(keyframe, candidate)
             if loop is not None:
@@ -52,20 +57,20 @@ class LoopDetector:
         return None
 
     def _consistent_candidates(self, keyframe: int) -> list[int]:
-        """Candidates whose neighbourhood was a candidate for the last keyframes too."""
+        """Return candidates whose neighborhood was a candidate for the last keyframes too."""
         groups: list[tuple[frozenset[int], int]] = []
         consistent = []
         for candidate in self._here.loop_candidates(keyframe, self._there):
             group = frozenset([candidate, *(int(k) for k in self._there.map.neighbors(candidate)[0])])
-            held = 1 + max((count for other, count in self._groups if group & other), default=0)
-            groups.append((group, held))
-            if held >= thresholds.LOOP_CONSISTENT_KEYFRAMES:
+            repeats = 1 + max((count for other, count in self._groups if group & other), default=0)
+            groups.append((group, repeats))
+            if repeats >= thresholds.LOOP_CONSISTENT_KEYFRAMES:
                 consistent.append(candidate)
         self._groups = groups
         return consistent
 
     def _verify(self, keyframe: int, candidate: int) -> Loop | None:
-        """The loop with `candidate`, if a similarity explains enough matches."""
+        """Return the loop with `candidate`, if a similarity explains enough matches."""
         matches = self._match_points(keyframe, candidate)
         if len(matches[0]) < thresholds.LOOP_MIN_MATCHES:
             return None
@@ -91,13 +96,13 @@ class LoopDetector:
             return None
         keyframe_from_world = sim3_compose(similarity, there.keyframes.camera_from_world[candidate])
         points, expected = self._project_loop_side(keyframe, candidate, keyframe_from_world)
-        found = int((points >= 0).sum())
-        if found < max(thresholds.LOOP_MIN_PROJECTED, thresholds.LOOP_MIN_PROJECTED_SHARE * expected):
+        projected_matches = int((points >= 0).sum())
+        if projected_matches < max(thresholds.LOOP_MIN_PROJECTED, thresholds.LOOP_MIN_PROJECTED_SHARE * expected):
             return None
-        return Loop(keyframe, candidate, keyframe_from_world, points, found)
+        return Loop(keyframe, candidate, keyframe_from_world, points, projected_matches)
 
     def _match_points(self, keyframe: int, candidate: int) -> tuple[Indices, Indices]:
-        """Features of both keyframes that look alike and both show a map point, (N,) each."""
+        """Return features of both keyframes, (N,) each, that look alike and both show a map point."""
         here, there = self._here.map.keyframes, self._there.map.keyframes
         a, b = here.features[keyframe], there.features[candidate]
         matches = match_by_appearance(
@@ -106,12 +111,14 @@ class LoopDetector:
             thresholds.HAMMING_LOW, thresholds.LOOP_RATIO,
         )  # fmt: skip
         keep_consistent_rotations(matches, a.angles, b.angles)
-        found = np.nonzero(matches >= 0)[0]
-        return found, matches[found]
+        features = np.nonzero(matches >= 0)[0]
+        return features, matches[features]
 
     def _project_loop_side(self, keyframe: int, candidate: int, keyframe_from_world: Array) -> tuple[Indices, int]:
-        """Points of the loop side by the feature of `keyframe` that shows them (N,), by projection, and how many it
-        should show."""
+        """Return the loop side's point that each feature of `keyframe` shows (N,), and how many it should show.
+
+        The points are matched by projection.
+        """
         features, there = self._here.map.keyframes.features[keyframe], self._there.map
         group = np.concatenate([[candidate], there.neighbors(candidate)[0]])
         projections = project_map_points(
@@ -122,19 +129,19 @@ class LoopDetector:
             projections.octaves - 1, projections.octaves + 1, there.points.descriptors[projections.points],
             features, np.ones(len(features), np.bool_), thresholds.HAMMING_LOW,
         )  # fmt: skip
-        shown = np.full(len(features), NONE, np.int64)
-        shown[matches[matches >= 0]] = projections.points[matches >= 0]
-        return shown, len(projections.points)
+        matched_points = np.full(len(features), NONE, np.int64)
+        matched_points[matches[matches >= 0]] = projections.points[matches >= 0]
+        return matched_points, len(projections.points)
 
 
 def _points_in_camera(slam_map: Map, keyframe: int, features: Indices) -> Array:
-    """The points (N, 3) that a keyframe shows at `features` (N,), in its camera's frame."""
+    """Return the points (N, 3) that a keyframe shows at `features` (N,), in its camera's frame."""
     table = slam_map.keyframes
     pose, points = table.camera_from_world[keyframe], table.points[keyframe, features]
     return np.asarray(slam_map.points.positions[points] @ pose[:3, :3].T + pose[:3, 3])
 
 
 def rigid_part(similarity: Array) -> Array:
-    """The rigid motion (4, 4) that gives the same image as `similarity`, camera from world: [R, t / s]."""
+    """Return the rigid motion (4, 4), [R, t / s], that gives the same image as `similarity`, camera from world."""
     scale = sim3_scale(similarity)
     return np.asarray(sim3_from_parts(1.0, similarity[:3, :3] / scale, similarity[:3, 3] / scale))

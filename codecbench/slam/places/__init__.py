@@ -1,1 +1,1 @@
-"""Which keyframes look alike: the vocabulary and the index over it."""
+"""Place recognition: which keyframes look alike, by a vocabulary tree and an inverted index."""

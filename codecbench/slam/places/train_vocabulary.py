@@ -40,7 +40,7 @@ _SIZE_PX = (640, 480)
 _VIEWS_A_PICTURE = 8
 _ASSIGNMENT_ROUNDS = 8  # of k-majority clustering; few descriptors still move after them
 _SETTLED_FRACTION = 0.005  # of the descriptors of a node: fewer move, and its clusters are final
-_SEEDING_SAMPLE = 2000  # descriptors among which the first centres are drawn
+_SEEDING_SAMPLE = 2000  # descriptors among which the first centers are drawn
 
 Gray = NDArray[np.uint8]
 Bits = NDArray[np.uint64]
@@ -85,11 +85,11 @@ def _perspective_view(photographs: list[Gray], rng: np.random.Generator) -> Gray
         photograph = np.asarray(shrunk, dtype=np.uint8)
         height, width, scale = *photograph.shape, 1.0
     angle = rng.normal(0.0, 0.3) + rng.integers(4) * (np.pi / 2.0 if rng.random() < 0.3 else 0.0)
-    centre = np.array([rng.uniform(0.0, width), rng.uniform(0.0, height)])
+    center = np.array([rng.uniform(0.0, width), rng.uniform(0.0, height)])
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * scale
     homography = np.eye(3)
     homography[:2, :2] = turn @ np.array([[1.0, rng.normal(0.0, 0.2)], [0.0, np.exp(rng.normal(0.0, 0.25))]])
-    homography[:2, 2] = np.array(_SIZE_PX) / 2.0 - homography[:2, :2] @ centre
+    homography[:2, 2] = np.array(_SIZE_PX) / 2.0 - homography[:2, :2] @ center
     homography = np.array([[1, 0, 0], [0, 1, 0], [*rng.normal(0.0, 4e-4, 2), 1.0]]) @ homography
     view = cv2.warpPerspective(photograph, homography, _SIZE_PX, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
     return np.asarray(view, dtype=np.uint8)
@@ -99,8 +99,8 @@ def _random_polygon(rng: np.random.Generator) -> NDArray[np.bool_]:
     """Return the mask of a polygon of 3 to 6 corners; small ones are more frequent, as areas in nature are."""
     radius = 20.0 * (1.0 - 0.99 * rng.random()) ** -0.5
     angles = np.sort(rng.uniform(0.0, 2.0 * np.pi, int(rng.integers(3, 7))))
-    centre = rng.uniform((0.0, 0.0), _SIZE_PX)
-    corners = centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) * rng.uniform(0.5, 1.5, 2)
+    center = rng.uniform((0.0, 0.0), _SIZE_PX)
+    corners = center + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) * rng.uniform(0.5, 1.5, 2)
     mask = np.zeros(_SIZE_PX[::-1], dtype=np.uint8)
     cv2.fillPoly(mask, [np.rint(corners).astype(np.int32)], 1)
     return mask.astype(np.bool_)
@@ -110,8 +110,10 @@ def extract_descriptors(photographs: list[Gray], pictures: int, rng: np.random.G
     """Return the descriptors (N, 4) of composed pictures and the picture of each (N,)."""
     camera = Camera(*_SIZE_PX, 500.0, 500.0, 319.5, 239.5)
     extractor = FeatureExtractor(camera, Options())
-    found = [extractor.extract(compose_picture(photographs, rng)).descriptors for _ in range(pictures)]
-    return np.concatenate(found), np.repeat(np.arange(pictures), [len(descriptors) for descriptors in found])
+    per_picture = [extractor.extract(compose_picture(photographs, rng)).descriptors for _ in range(pictures)]
+    return np.concatenate(per_picture), np.repeat(
+        np.arange(pictures), [len(descriptors) for descriptors in per_picture]
+    )
 
 
 def train(
@@ -133,53 +135,53 @@ def train(
                 counts.append(0)
                 weights.append(np.log(picture_count / len(np.unique(pictures[members]))))
                 continue
-            centres, labels = _cluster(descriptors[members], branches, rng)
-            parts = [members[labels == k] for k in range(len(centres))]
-            kept = [k for k, part in enumerate(parts) if len(part)]
-            counts.append(len(kept))
-            nodes.append(centres[kept])
-            following.extend(parts[k] for k in kept)
+            centers, labels = _cluster(descriptors[members], branches, rng)
+            parts = [members[labels == k] for k in range(len(centers))]
+            nonempty = [k for k, part in enumerate(parts) if len(part)]
+            counts.append(len(nonempty))
+            nodes.append(centers[nonempty])
+            following.extend(parts[k] for k in nonempty)
         level = following
     rows = np.concatenate(nodes).view(np.uint8).reshape(-1, 32)
     return Vocabulary(np.array(counts, dtype=np.uint8), rows, np.array(weights))
 
 
 def _cluster(descriptors: Bits, branches: int, rng: np.random.Generator) -> tuple[Bits, Indices]:
-    """Return centres (k, 4), k <= branches, and the centre of each descriptor (N,)."""
-    centres = _seed_centres(descriptors, branches, rng)
+    """Return centers (k, 4), k <= branches, and the center of each descriptor (N,)."""
+    centers = _seed_centers(descriptors, branches, rng)
     labels = np.full(len(descriptors), -1, dtype=np.int64)
     for _ in range(_ASSIGNMENT_ROUNDS):
-        moved = _assign(descriptors, centres, labels)
+        moved = _assign(descriptors, centers, labels)
         if moved <= _SETTLED_FRACTION * len(descriptors):
             break
-        _vote(descriptors, labels, centres)
-    return centres, labels
+        _vote(descriptors, labels, centers)
+    return centers, labels
 
 
-def _seed_centres(descriptors: Bits, branches: int, rng: np.random.Generator) -> Bits:
-    """Draw distant first centres: each with a probability that grows with its squared distance to those drawn."""
+def _seed_centers(descriptors: Bits, branches: int, rng: np.random.Generator) -> Bits:
+    """Draw distant first centers: each with a probability that grows with its squared distance to those drawn."""
     sample = descriptors
     if len(sample) > _SEEDING_SAMPLE:
         sample = sample[rng.choice(len(sample), _SEEDING_SAMPLE, replace=False)]
-    centres = [sample[int(rng.integers(len(sample)))]]
+    centers = [sample[int(rng.integers(len(sample)))]]
     nearest = np.full(len(sample), 256.0)
-    while len(centres) < branches:
-        nearest = np.minimum(nearest, np.bitwise_count(sample ^ centres[-1]).sum(axis=1))
+    while len(centers) < branches:
+        nearest = np.minimum(nearest, np.bitwise_count(sample ^ centers[-1]).sum(axis=1))
         total = float((nearest**2).sum())
         if total == 0.0:
             break
-        centres.append(sample[int(rng.choice(len(sample), p=nearest**2 / total))])
-    return np.array(centres)
+        centers.append(sample[int(rng.choice(len(sample), p=nearest**2 / total))])
+    return np.array(centers)
 
 
 @compiled
-def _assign(descriptors, centres, labels):  # type: ignore[no-untyped-def]
-    """Label each descriptor with its nearest centre; return how many changed."""
+def _assign(descriptors, centers, labels):  # type: ignore[no-untyped-def]
+    """Label each descriptor with its nearest center; return how many changed."""
     moved = 0
     for i in range(descriptors.shape[0]):
         best, best_distance = 0, 257
-        for k in range(centres.shape[0]):
-            distance = hamming(descriptors, i, centres, k)
+        for k in range(centers.shape[0]):
+            distance = hamming(descriptors, i, centers, k)
             if distance < best_distance:
                 best, best_distance = k, distance
         moved += labels[i] != best
@@ -188,25 +190,25 @@ def _assign(descriptors, centres, labels):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _vote(descriptors, labels, centres):  # type: ignore[no-untyped-def]
-    """Replace each centre by the majority of its descriptors, bit by bit; a tie sets the bit."""
-    sizes, votes = np.zeros(centres.shape[0], np.int64), np.zeros((centres.shape[0], 256), np.int32)
+def _vote(descriptors, labels, centers):  # type: ignore[no-untyped-def]
+    """Replace each center by the majority of its descriptors, bit by bit; a tie sets the bit."""
+    sizes, votes = np.zeros(centers.shape[0], np.int64), np.zeros((centers.shape[0], 256), np.int32)
     lowest = np.uint64(1)
     for i in range(descriptors.shape[0]):
         sizes[labels[i]] += 1
-        own = votes[labels[i]]
+        ballot = votes[labels[i]]
         for word in range(4):
             bits = descriptors[i, word]
             for bit in range(64):
-                own[64 * word + bit] += np.int32((bits >> np.uint64(bit)) & lowest)
-    for k in range(centres.shape[0]):
+                ballot[64 * word + bit] += np.int32((bits >> np.uint64(bit)) & lowest)
+    for k in range(centers.shape[0]):
         for word in range(4):
             bits = np.uint64(0)
             for bit in range(64):
                 if 2 * votes[k, 64 * word + bit] >= sizes[k]:
                     bits |= lowest << np.uint64(bit)
             if sizes[k] > 0:
-                centres[k, word] = bits
+                centers[k, word] = bits
 
 
 def main() -> None:

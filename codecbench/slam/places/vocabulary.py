@@ -1,4 +1,4 @@
-"""Bags of binary words: a tree of descriptors that turns an image into a sparse vector, and compares two of them."""
+"""A vocabulary tree of binary descriptors, which turns an image into a bag of words, and their similarity."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ _DBOW2_HEADER = "10 6 0 0"  # branching, depth, L1 score, tf-idf; readers size b
 
 @dataclass(frozen=True)
 class BowVector:
-    """An image as a bag of words: `words` (n,), ascending, and their tf-idf `values` (n,), which sum to 1."""
+    """An image as a bag of words."""
 
     words: Indices
+    """Ascending (n,)."""
     values: Array
+    """Their tf-idf (n,), which sum to 1."""
 
     def score(self, other: BowVector) -> float:
         """Return the similarity of two images, 0..1: 1 - |v - w| / 2 (Galvez-Lopez and Tardos, 2012, equation 2)."""
@@ -34,20 +36,23 @@ class BowVector:
 
 @dataclass(frozen=True)
 class Words:
-    """Where descriptors fall in the tree: leaf `words` (N,), idf `weights` (N,), and tree `nodes` (N,) at one level."""
+    """Where descriptors fall in the tree."""
 
     words: Indices
+    """Leaves (N,)."""
     weights: Array
+    """Inverse document frequencies (N,)."""
     nodes: Indices
+    """Ancestors (N,) at one level."""
 
 
 class Vocabulary:
     """A tree of binary descriptors whose leaves are words, each with its inverse document frequency.
 
     Nodes are numbered breadth first from the root, 0. `child_counts` (n,) uint8, 0 at a leaf; `descriptors` (n - 1, 32)
-    uint8 of all nodes but the root; `weights` of the leaves, in the order of their nodes. Raises ValueError when these
-    do not describe one tree. Source: Galvez-Lopez and Tardos, "Bags of binary words for fast place recognition in
-    image sequences", T-RO 28(5), 2012, doi:10.1109/TRO.2012.2197158.
+    uint8 of all nodes but the root; `weights` of the leaves, in the order of their nodes. Raises ValueError if these do
+    not describe one tree. Source: Galvez-Lopez and Tardos, "Bags of binary words for fast place recognition in image
+    sequences", T-RO 28(5), 2012, doi:10.1109/TRO.2012.2197158.
     """
 
     def __init__(self, child_counts: NDArray[np.uint8], descriptors: NDArray[np.uint8], weights: Array) -> None:
@@ -142,7 +147,7 @@ class Vocabulary:
 
     @staticmethod
     def read_dbow2_text(path: Path) -> Vocabulary:
-        """Read a tree of 32-byte descriptors in DBoW2's text format; raises ValueError where a line does not fit."""
+        """Read a tree of 32-byte descriptors in DBoW2's text format; raises ValueError if a line does not fit."""
         with Path(path).open(encoding="ascii") as file:
             file.readline()
             rows = np.loadtxt(file, ndmin=2)

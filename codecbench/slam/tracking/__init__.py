@@ -1,1 +1,1 @@
-"""The pose of each frame from the map, its place when it is lost, and which frames become keyframes."""
+"""Tracking: the pose of each frame, relocalization of lost frames, and the keyframe policy."""

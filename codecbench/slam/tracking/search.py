@@ -1,4 +1,4 @@
-"""Map points searched in a frame, and its pose from them: what a frame needs of compiled code, a call each."""
+"""Compiled steps of tracking: search map points in a frame, and optimize its pose from them."""
 
 from __future__ import annotations
 
@@ -13,44 +13,53 @@ from codecbench.slam.features.matching import Queries, keep_consistent_rotations
 from codecbench.slam.geometry.rotations import orthonormalize
 from codecbench.slam.map.projection import project_ahead, project_points
 from codecbench.slam.map.tables import PointTable
-from codecbench.slam.optimisation.pose_optimization import optimize_in_place
+from codecbench.slam.optimization.pose_optimization import optimize_in_place
 
 
 class PointColumns(NamedTuple):
-    """The columns of the table of points that a search reads; `visible` it counts up."""
+    """Columns of the point table that a search reads."""
 
     positions: Any
     normals: Any
     min_distances: Any
     max_distances: Any
     descriptors: Any
-    visible: Any
+    visible_counts: Any
+    """A search counts up these."""
 
 
 class Lens(NamedTuple):
-    """How a frame sees: `intrinsics` (4,), `bounds` (4,) of the image, `scale_factors` of its levels."""
+    """How a frame sees."""
 
     intrinsics: Any
+    """fx, fy, cx, cy (4,)."""
     bounds: Any
+    """Of the undistorted image (4,)."""
     scale_factors: Any
+    """Of the pyramid levels (L,)."""
 
 
 def columns_of(table: PointTable) -> PointColumns:
-    """The columns of a table as they are now; they are others once it has grown."""
+    """Return the current columns of a table; call again after the table has grown."""
     return PointColumns(
-        table.positions, table.normals, table.min_distances, table.max_distances, table.descriptors, table.visible
+        table.positions,
+        table.normals,
+        table.min_distances,
+        table.max_distances,
+        table.descriptors,
+        table.visible_counts,
     )
 
 
 @compiled
-def search_last(
+def search_last_frame(
     last_points: Any, last_octaves: Any, last_angles: Any, window_px: float,
-    table: PointColumns, lens: Lens, camera_from_world: Any, view: View, angles: Any, shown: Any,
+    table: PointColumns, lens: Lens, camera_from_world: Any, view: View, angles: Any, matched_points: Any,
 ) -> int:  # fmt: skip
-    """Search the points of the last frame (N,) by feature, -1 for none, in windows round where they should appear.
+    """Search the points of the last frame (N,) by feature, -1 for none, in windows around their predictions.
 
     `last_octaves`, `last_angles` (N,) are those of its features; `angles` (F,) those of this frame, whose points
-    `shown` (F,) are filled in. Returns how many were found.
+    `matched_points` (F,) are filled in. Returns the number of matches.
     """
     seen = np.nonzero(last_points >= 0)[0]
     ahead, pixels = project_ahead(last_points[seen], table.positions, camera_from_world, lens.intrinsics)
@@ -62,70 +71,86 @@ def search_last(
         octave = np.int64(last_octaves[seen[i]])
         radii[i], low[i], high[i] = window_px * lens.scale_factors[octave], octave - 1, octave + 1
     queries = Queries(pixels, radii, low, high, points, table.descriptors)
-    free = np.ones(len(shown), np.bool_)
+    free = np.ones(len(matched_points), np.bool_)
     matches = search_windows(queries, view, free, thresholds.HAMMING_HIGH, thresholds.TRACK_RATIO)
     keep_consistent_rotations(matches, turns, angles)
-    return _show(matches, points, shown)
+    return _assign_points(matches, points, matched_points)
 
 
 @compiled
 def search_projections(
     points: Any, pixels: Any, octaves: Any, cosines: Any, widen: float,
-    descriptors: Any, scale_factors: Any, view: View, shown: Any,
+    descriptors: Any, scale_factors: Any, view: View, matched_points: Any,
 ) -> int:  # fmt: skip
-    """Search projected points among the features that show none yet; see Projections. Fills in the points `shown` (F,);
-    returns how many were found."""
+    """Search projected points among the features that show none yet; see Projections.
+
+    Fills in the points `matched_points` (F,); returns the number of matches.
+    """
     radii, low = np.empty(len(points)), octaves - 1
     for i in range(len(points)):
         frontal = cosines[i] > thresholds.FRONTAL_COSINE
         radius = thresholds.LOCAL_WINDOW_FRONTAL_PX if frontal else thresholds.LOCAL_WINDOW_PX
         radii[i] = radius * widen * scale_factors[octaves[i]]
     queries = Queries(pixels, radii, low, octaves, points, descriptors)
-    matches = search_windows(queries, view, shown < 0, thresholds.HAMMING_HIGH, thresholds.LOCAL_RATIO)
-    return _show(matches, points, shown)
+    matches = search_windows(queries, view, matched_points < 0, thresholds.HAMMING_HIGH, thresholds.LOCAL_RATIO)
+    return _assign_points(matches, points, matched_points)
 
 
 @compiled
-def search_local(
-    local: Any, table: PointColumns, point_count: int, lens: Lens, camera_from_world: Any, view: View, shown: Any
+def search_local_map(
+    local: Any,
+    table: PointColumns,
+    point_count: int,
+    lens: Lens,
+    camera_from_world: Any,
+    view: View,
+    matched_points: Any,
 ) -> int:
-    """Search the local points (N,) that a frame does not show yet; fills in `shown` (F,), and counts as visible what it
-    shows and what it should. Returns how many were found."""
+    """Search the local points (N,) that a frame does not show yet; fills in `matched_points` (F,).
+
+    Counts as visible what the frame shows and what it should show. Returns the number of matches.
+    """
     unseen = np.ones(point_count, np.bool_)
-    for point in shown:
+    for point in matched_points:
         if point >= 0 and unseen[point]:
             unseen[point] = False
-            table.visible[point] += 1
+            table.visible_counts[point] += 1
     points = local[unseen[local]]
-    kept, pixels, octaves, cosines = project_points(
+    visible, pixels, octaves, cosines = project_points(
         points, table.positions, table.normals, table.min_distances, table.max_distances,
         camera_from_world, lens.intrinsics, lens.bounds, lens.scale_factors, thresholds.VIEWING_COSINE,
     )  # fmt: skip
-    points = points[kept]
+    points = points[visible]
     for point in points:
-        table.visible[point] += 1
+        table.visible_counts[point] += 1
     return int(
         search_projections(
-            points, pixels, octaves, cosines, 1.0, table.descriptors, lens.scale_factors, view, shown
+            points, pixels, octaves, cosines, 1.0, table.descriptors, lens.scale_factors, view, matched_points
         )
     )  # fmt: skip
 
 
 @compiled
-def optimize_shown(
-    camera_from_world: Any, shown: Any, positions: Any, pixels: Any, octaves: Any, inverse_sigma2: Any, intrinsics: Any
+def optimize_matched_pose(
+    camera_from_world: Any,
+    matched_points: Any,
+    positions: Any,
+    pixels: Any,
+    octaves: Any,
+    inverse_sigma2: Any,
+    intrinsics: Any,
 ) -> int:
-    """Move `camera_from_world` (4, 4) to fit the points `shown` (F,) by a frame's features; outliers leave `shown`.
+    """Move `camera_from_world` (4, 4) to fit the points `matched_points` (F,) by a frame's features; drops outliers.
 
     Returns the inliers; with fewer than four points nothing happens. See optimize_pose.
     """
-    matched = np.nonzero(shown >= 0)[0]
+    matched = np.nonzero(matched_points >= 0)[0]
     count = len(matched)
     if count < 4:
         return 0
     points, places, weights = np.empty((count, 3)), np.empty((count, 2)), np.empty(count)
     for i in range(count):
-        point, feature = shown[matched[i]], matched[i]
+        point, feature = matched_points[matched[i]], matched[i]
         for k in range(3):
             points[i, k] = positions[point, k]
         places[i, 0], places[i, 1] = pixels[feature, 0], pixels[feature, 1]
@@ -138,15 +163,16 @@ def optimize_shown(
             camera_from_world[i, j] = rotation[i, j]
     for i in range(count):
         if not inliers[i]:
-            shown[matched[i]] = -1
+            matched_points[matched[i]] = -1
     return int(np.count_nonzero(inliers))
 
 
 @compiled
-def _show(matches: Any, points: Any, shown: Any) -> int:
+def _assign_points(matches: Any, points: Any, matched_points: Any) -> int:
+    """Write the matched points to `matched_points`; returns the number of matches."""
     count = 0
     for q in range(len(matches)):
         if matches[q] >= 0:
-            shown[matches[q]] = points[q]
+            matched_points[matches[q]] = points[q]
             count += 1
     return count

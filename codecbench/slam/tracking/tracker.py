@@ -1,4 +1,4 @@
-"""The pose of a frame from the map: motion model, reference keyframe, local map (ORB-SLAM V)."""
+"""Tracking a frame in the map: motion model, reference keyframe, local map (ORB-SLAM V)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from codecbench.slam.map.projection import Projections
 from codecbench.slam.tracking.search import (
     Lens,
     columns_of,
-    optimize_shown,
-    search_last,
-    search_local,
+    optimize_matched_pose,
+    search_last_frame,
+    search_local_map,
     search_projections,
 )
 
@@ -31,28 +31,28 @@ class Tracker:
         self.map = slam_map
         self.camera = camera
         self.last: TrackingFrame | None = None
-        self._velocity: Array | None = None  # twist of one second; None: unknown
+        self._velocity: Array | None = None  # twist per second; None if unknown
         self._interval_s = 0.0
         self._lens = Lens(camera.intrinsics, camera.bounds, slam_map.scale_factors)
 
     def start(self, frame: TrackingFrame, velocity: Array | None = None) -> None:
-        """Go on from `frame`, whose pose and points are known."""
+        """Continue from `frame`, whose pose and points are known."""
         self.last = frame
         self._velocity = velocity
 
     def track(self, frame: TrackingFrame) -> int:
-        """Find the pose and points of `frame`; returns the number of inliers, 0 when it is lost.
+        """Find the pose and points of `frame`; returns the number of inliers, 0 if it is lost.
 
-        On success `frame` holds its pose, points and reference keyframe and is the new `last`; one that shows the last
-        picture once more, as a link that stalls does, has its pose and says nothing of how the camera moves.
+        On success `frame` has its pose, points and reference keyframe and is the new `last`. A frame that repeats the
+        last image, as a stalled link does, gets the last pose and leaves the motion model unchanged.
         """
         assert self.last is not None
         self.last.points = self.map.resolve_points(self.last.points)
         if frame.features.same_as(self.last.features):
             frame.points, frame.reference = self.last.points.copy(), self.last.reference
             frame.camera_from_world = self.last.camera_from_world.copy()
-            return len(frame.matched)
-        if not (self._track_by_motion(frame) or self._track_by_keyframe(frame) or self._hold_on(frame)):
+            return len(frame.matched_features)
+        if not (self._track_by_motion(frame) or self._track_by_keyframe(frame) or self._track_by_few_matches(frame)):
             return 0
         inliers = self.track_local_map(frame)
         if inliers < thresholds.LOCAL_MIN_INLIERS:
@@ -71,28 +71,28 @@ class Tracker:
     # First guesses --------------------------------------------------------------------------------------------
 
     def _track_by_motion(self, frame: TrackingFrame) -> bool:
-        """Search round what constant velocity predicts, then in wider windows."""
-        predicted = self._predicted(frame)
+        """Search around the prediction of constant velocity, then in wider windows."""
+        predicted = self._predict_pose(frame)
         if predicted is None:
             return False
         for window_deg in (thresholds.TRACK_WINDOW_DEG, thresholds.TRACK_WINDOW_WIDE_DEG):
-            if self._match_last(frame, predicted, window_deg) >= thresholds.TRACK_MIN_MATCHES:
+            if self._match_last_frame(frame, predicted, window_deg) >= thresholds.TRACK_MIN_MATCHES:
                 return self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
         return False
 
-    def _hold_on(self, frame: TrackingFrame) -> bool:
-        """Go on from the few matches near their predictions: in a sharp turn at a low rate little is seen twice.
+    def _track_by_few_matches(self, frame: TrackingFrame) -> bool:
+        """Continue from few matches near their predictions: after a sharp turn at a low rate little is seen twice.
 
         The local map then decides whether the guess was right.
         """
-        predicted = self._predicted(frame)
+        predicted = self._predict_pose(frame)
         if predicted is None:
             return False
-        found = self._match_last(frame, predicted, thresholds.TRACK_WINDOW_DEG)
-        return found >= thresholds.TRACK_MIN_INLIERS and self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
+        matches = self._match_last_frame(frame, predicted, thresholds.TRACK_WINDOW_DEG)
+        return matches >= thresholds.TRACK_MIN_INLIERS and self.optimize(frame) >= thresholds.TRACK_MIN_INLIERS
 
-    def _predicted(self, frame: TrackingFrame) -> Array | None:
-        """The pose by constant velocity; None where the last frame is too long ago."""
+    def _predict_pose(self, frame: TrackingFrame) -> Array | None:
+        """Return the pose by constant velocity; None if the last frame is too long ago."""
         assert self.last is not None
         interval_s = frame.timestamp_s - self.last.timestamp_s
         if self._velocity is None:
@@ -101,14 +101,14 @@ class Tracker:
             return None
         return np.asarray(se3_exp(self._velocity * interval_s) @ self.last.camera_from_world)
 
-    def _match_last(self, frame: TrackingFrame, camera_from_world: Array, window_deg: float) -> int:
-        """Look for what the last frame shows where it should appear from a pose; returns how many points were found."""
+    def _match_last_frame(self, frame: TrackingFrame, camera_from_world: Array, window_deg: float) -> int:
+        """Search the last frame's points where a pose predicts them; returns the number of matches."""
         assert self.last is not None
         frame.points[:] = NONE
         frame.camera_from_world = camera_from_world
         last, features = self.last, frame.features
         return int(
-            search_last(
+            search_last_frame(
                 last.points, last.features.octaves, last.features.angles, self.camera.pixels_across(window_deg),
                 columns_of(self.map.points), self._lens, frame.camera_from_world, features.view, features.angles,
                 frame.points,
@@ -116,14 +116,14 @@ class Tracker:
         )  # fmt: skip
 
     def _track_by_keyframe(self, frame: TrackingFrame) -> bool:
-        """Match by appearance with the last frame, then with the reference keyframe; pose by P3P and RANSAC."""
+        """Match by appearance with the last frame, then the reference keyframe; pose by P3P and RANSAC."""
         assert self.last is not None
         if self._track_by_appearance(frame, self.last.points, self.last.features, thresholds.KEYFRAME_RATIO):
             return True
         return self.guess_by_keyframe(frame, self.last.reference, thresholds.KEYFRAME_RATIO)
 
     def guess_by_keyframe(self, frame: TrackingFrame, keyframe: int, ratio: float) -> bool:
-        """First guess of the pose from the points of one keyframe, matched by appearance."""
+        """Guess the pose from the points of one keyframe, matched by appearance; returns whether it succeeds."""
         features = self.map.keyframes.features[keyframe]
         points = self.map.keyframes.points[keyframe, : len(features)]
         return self._track_by_appearance(frame, points, features, ratio)
@@ -139,11 +139,11 @@ class Tracker:
             thresholds.HAMMING_LOW, ratio,
         )  # fmt: skip
         keep_consistent_rotations(matches, features.angles[seen], frame.features.angles)
-        found = np.nonzero(matches >= 0)[0]
-        return self.solve_pose(frame, points[seen[found]], matches[found])
+        matched = np.nonzero(matches >= 0)[0]
+        return self.solve_pose(frame, points[seen[matched]], matches[matched])
 
     def solve_pose(self, frame: TrackingFrame, points: Indices, features: Indices) -> bool:
-        """Pose of `frame` from matches of which some are wrong, by P3P and RANSAC, then by optimisation."""
+        """Find the pose of `frame` from matches with outliers, by P3P and RANSAC, then by optimization."""
         if len(points) < thresholds.KEYFRAME_MIN_MATCHES:
             return False
         ok, rotation, translation, inliers = cv2.solvePnPRansac(
@@ -163,9 +163,9 @@ class Tracker:
     # Refinement -----------------------------------------------------------------------------------------------
 
     def optimize(self, frame: TrackingFrame) -> int:
-        """Optimise the pose of `frame` over its points; outliers lose their match. Returns the inliers."""
+        """Optimize the pose of `frame` over its points; outliers lose their match. Returns the inliers."""
         pose, features = frame.camera_from_world.copy(), frame.features
-        inliers = optimize_shown(
+        inliers = optimize_matched_pose(
             pose, frame.points, self.map.points.positions, features.pixels, features.octaves,
             self.map.inverse_sigma2_of_points, self.camera.intrinsics,
         )  # fmt: skip
@@ -173,19 +173,19 @@ class Tracker:
         return int(inliers)
 
     def track_local_map(self, frame: TrackingFrame) -> int:
-        """Match `frame` with the local map and optimise its pose; returns the inliers."""
+        """Match `frame` with the local map and optimize its pose; returns the inliers."""
         local = self._local_points(frame)
         table = self.map.points
-        search_local(
+        search_local_map(
             local, columns_of(table), table.count, self._lens, frame.camera_from_world, frame.features.view,
             frame.points,
         )  # fmt: skip
         inliers = self.optimize(frame)
-        table.found[frame.points[frame.points >= 0]] += 1
+        table.found_counts[frame.points[frame.points >= 0]] += 1
         return inliers
 
     def _local_points(self, frame: TrackingFrame) -> Indices:
-        """Points of the keyframes that share points with `frame` and of their neighbours; sets the reference."""
+        """Return the points of keyframes that share points with `frame` and of their neighbors; sets its reference."""
         first = self.map.rank_covisible(frame.points)[0][: thresholds.LOCAL_KEYFRAMES].tolist()
         if not first:
             return np.empty(0, np.int64)
@@ -204,7 +204,7 @@ class Tracker:
 
 
 def match_projections(slam_map: Map, frame: TrackingFrame, projections: Projections, widen: float) -> int:
-    """Match projected points with the features of `frame` that show none yet; returns how many matched."""
+    """Match projected points with features of `frame` that show none yet; returns the number of matches."""
     return int(
         search_projections(
             projections.points, projections.pixels, projections.octaves, projections.cosines, widen,

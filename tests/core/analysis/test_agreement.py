@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from kept_runs import write_kept_run
 
-from codecbench.core.analysis.verification import Values, compared, other_version, values_of
+from codecbench.core.analysis.verification import Values, compare_values, other_version, values_of
 from codecbench.core.engine.planning.model import Cell
 from codecbench.core.engine.storage.store import Store
 
@@ -39,19 +39,19 @@ def test_the_values_of_a_record(cell: Cell, tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_a_value(cell: Cell, there: float, here: float, verdict: str) -> None:
-    found = compared(cell, {KEY: there}, {KEY: here}, 1e-6, "numpy is older")
+    found = compare_values(cell, {KEY: there}, {KEY: here}, 1e-6, "numpy is older")
     assert (found.verdict, found.values) == (verdict, 1)
     assert (found.note == "") == (verdict == "to the bit")
-    strict = compared(cell, {KEY: there}, {KEY: here}, 1e-6)
+    strict = compare_values(cell, {KEY: there}, {KEY: here}, 1e-6)
     assert strict.verdict == (verdict if verdict == "to the bit" else "differs")
 
 
 def test_the_first_value_that_does_not_agree_is_named(cell: Cell) -> None:
     there: Values = {("error", "", frame, 0): 1.0 for frame in range(4)}
     here = {**there, ("error", "", 0, 0): 1.0 + 1e-9, ("error", "", 1, 0): 1.1, ("error", "", 2, 0): 1.5}
-    found = compared(cell, there, here, 1e-6, "numpy is 1.0 there, 2.0 here")
+    found = compare_values(cell, there, here, 1e-6, "numpy is 1.0 there, 2.0 here")
     assert found.note == "error of frame 1: 1.0 there, 1.1 here; 3 of 4 values differ; numpy is 1.0 there, 2.0 here"
-    strict = compared(cell, there, here, 1e-6)
+    strict = compare_values(cell, there, here, 1e-6)
     assert strict.note.startswith(f"error of frame 0: 1.0 there, {1.0 + 1e-9!r} here; 3 of 4")
 
 
@@ -79,6 +79,6 @@ def test_versions_that_may_change_a_result_are_compared() -> None:
 
 def test_values_that_only_one_side_has(cell: Cell) -> None:
     other = ("rate_bpp", "dc", None, 0)
-    assert compared(cell, {KEY: 1.0, other: 2.0}, {KEY: 1.0}, 1e-6).note == "rate_bpp/dc: not measured here"
-    assert compared(cell, {KEY: 1.0}, {KEY: 1.0, other: 2.0}, 1e-6).note == "rate_bpp/dc: measured here alone"
-    assert compared(cell, {}, {}, 1e-6).verdict == "not recomputed"
+    assert compare_values(cell, {KEY: 1.0, other: 2.0}, {KEY: 1.0}, 1e-6).note == "rate_bpp/dc: not measured here"
+    assert compare_values(cell, {KEY: 1.0}, {KEY: 1.0, other: 2.0}, 1e-6).note == "rate_bpp/dc: measured here alone"
+    assert compare_values(cell, {}, {}, 1e-6).verdict == "not recomputed"

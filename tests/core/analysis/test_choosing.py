@@ -15,10 +15,10 @@ from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.storage.samples import parquet_from_samples, table_from_parquet
-from codecbench.core.report.choosing import answer, chosen, link_picks
+from codecbench.core.report.choosing import answer, choices, link_picks
 from codecbench.core.report.page import render
 from codecbench.core.report.strips import link_strips
-from codecbench.core.report.views import Pick, picked
+from codecbench.core.report.views import Pick, answer_picks
 
 WAIT = Metric("wait", "ms", "lower", "", quantity="delay")
 GONE = Metric("gone", "1", "lower", "", label="gone astray", quantity="cause")
@@ -117,20 +117,20 @@ def test_what_is_not_asked_is_not_judged() -> None:
 
 
 def test_the_setting_to_take_over_a_link_is_picked() -> None:
-    assert picked(run_of(*RUN)) == [Pick("plain", "q=1.0", True)]
+    assert answer_picks(run_of(*RUN)) == [Pick("plain", "q=1.0", True)]
     worse = [*delivered(1.0, 10, "worse"), *read(1.0, [2.0] * 5, "worse"), *read(2.0, [0.05] * 5, "worse")]
     both = run_of(*RUN, *worse)
-    assert picked(both) == picked(both, "radio") == [Pick("plain", "q=1.0", True)]
-    assert picked(both, "worse") == [Pick("plain", "q=2.0", True)]
+    assert answer_picks(both) == answer_picks(both, "radio") == [Pick("plain", "q=1.0", True)]
+    assert answer_picks(both, "worse") == [Pick("plain", "q=2.0", True)]
     lost = [size(1.0), *read(1.0, [2.0] * 5)]
-    assert picked(run_of(*lost)) == []
+    assert answer_picks(run_of(*lost)) == []
 
 
 def test_knowing_nothing_is_never_a_success() -> None:
     """A camera that hardly moves: a reader that gets nothing errs 4.3 cm, which is less than is asked."""
     still = [size(1.0), *read(1.0, [0.043] * 8, blind=0.043, new=0.0)]
     for demand in (Demand("radio"), Demand("radio", error_m=0.05)):
-        *_, answers = chosen(run_of(*still), demand)
+        *_, answers = choices(run_of(*still), demand)
         assert answers.sentences == (
             "Nothing passes over radio, because 1 of 1 settings have a fresh pose too seldom, such as plain q=1.0 "
             "(a pose no older than 0.5 s at 0 % of the moments < 50 %).",
@@ -139,7 +139,7 @@ def test_knowing_nothing_is_never_a_success() -> None:
     found = judged(Demand("radio", error_m=0.05), *told_wrong)
     assert (found["q=1.0"].verdict, found["q=1.0"].limit) == ("fails", "idle")
     assert found["q=2.0"].verdict == "passes"
-    (table, _) = chosen(run_of(*told_wrong), Demand("radio", error_m=0.05))
+    (table, _) = choices(run_of(*told_wrong), Demand("radio", error_m=0.05))
     assert table.rows[0][-1] == "error 0.044 m is no better than 0.043 m with nothing received"
 
 
@@ -152,7 +152,7 @@ def test_a_reader_that_knows_where_it_is_too_seldom_does_not_track() -> None:
 
 def test_a_record_without_the_error_with_nothing_received_must_be_measured_again() -> None:
     old = [size(1.0), *read(1.0, [0.02] * 8, blind=math.nan, new=math.nan), *read(2.0, [0.2] * 8, blind=math.nan)]
-    table, answers = chosen(run_of(*old), Demand("radio", error_m=0.1))
+    table, answers = choices(run_of(*old), Demand("radio", error_m=0.1))
     assert [row[-2:] for row in table.rows] == [
         ("inconclusive", "not measured: the error with nothing received"),
         ("fails", "error 0.2 m > 0.1 m"),
@@ -170,7 +170,7 @@ def test_a_later_deadline_finds_more_in_time() -> None:
 
 
 def test_the_least_bytes_that_pass_are_taken_and_the_limits_of_others_said() -> None:
-    table, answers = chosen(run_of(*RUN), ALL)
+    table, answers = choices(run_of(*RUN), ALL)
     assert table.title == "s: over radio, 90 % of the frames within 100 ms and an error of at most 0.1 m"
     assert table.heads == (
         "setting", "rate [bpp]", "in time", "error [m]", "fresh pose", "runs", "verdict", "because"
@@ -192,19 +192,19 @@ def test_the_least_bytes_that_pass_are_taken_and_the_limits_of_others_said() -> 
 
 def test_few_runs_tell_nothing_and_how_many_more_would_is_said() -> None:
     cells = [size(1.0), *delivered(1.0, 10, repeats=5), *read(1.0, [0.05, 0.05])]
-    table, answers = chosen(run_of(*cells), ALL)
+    table, answers = choices(run_of(*cells), ALL)
     assert table.rows[0][-2:] == ("inconclusive", "only 2 runs; at least 2 more would tell")
     assert answers.sentences == (
         "Nothing is known to pass over radio, because 1 of 1 settings have too few runs, such as plain q=1.0 (only 2 "
         "runs; at least 2 more would tell).",
     )
     mixed = [size(1.0), *read(1.0, [0.05, 0.05, 0.05, 0.2])]
-    table, _ = chosen(run_of(*mixed), Demand("radio", error_m=0.1))
+    table, _ = choices(run_of(*mixed), Demand("radio", error_m=0.1))
     assert table.rows[0][-1] == "error 0.2 m > 0.1 m in 1 of 4 runs; at least 4 more would tell"
 
 
 def test_what_was_not_measured_is_said() -> None:
-    table, _ = chosen(run_of(size(1.0), *delivered(1.0, 10), *read(2.0, [0.05] * 5)), ALL)
+    table, _ = choices(run_of(size(1.0), *delivered(1.0, 10), *read(2.0, [0.05] * 5)), ALL)
     assert table.rows[0][-2:] == ("inconclusive", "not measured: the error")
     assert table.sentences[1:] == (
         "plain q=1.0: the error is not known; add an evaluator that measures it with the same parameters of the link.",
@@ -214,7 +214,7 @@ def test_what_was_not_measured_is_said() -> None:
 
 
 def test_frames_in_time_decide_alone_where_nothing_reads_them() -> None:
-    table, answers = chosen(run_of(size(1.0), *delivered(1.0, 10)), Demand("radio", deadline_ms=100))
+    table, answers = choices(run_of(size(1.0), *delivered(1.0, 10)), Demand("radio", deadline_ms=100))
     assert table.sentences[0].startswith("Nothing reads the frames, so that those in time decide alone.")
     assert answers.sentences == (
         "Over radio use plain q=1.0: 1 bpp; passes in 5 of 5 runs (at least 57 % at 95 %): 100 % of frames in time of "
@@ -259,7 +259,7 @@ def test_a_slower_device_makes_pictures_older() -> None:
     asked = {"deadline_ms": 100.0, "share": 0.9}
     assert judged(Demand("radio", **asked, device_factor=4.0), *cells)["q=1.0"].share == 1.0  # 50 + 44 ms
     assert judged(Demand("radio", **asked, device_factor=5.0), *cells)["q=1.0"].share == 0.0  # 50 + 55 ms
-    table, _ = chosen(run_of(*cells), Demand("radio", **asked, device_factor=4.0))
+    table, _ = choices(run_of(*cells), Demand("radio", **asked, device_factor=4.0))
     assert table.title == "s: over radio, 90 % of the frames of a device 4 times slower within 100 ms"
     with pytest.raises(NotMeasured, match="no encoding was timed"):
         judged(Demand("radio", **asked, device_factor=4.0), *cells[:-1])
@@ -274,7 +274,7 @@ def test_what_was_simulated_is_not_added_again() -> None:
 
 def test_sequences_come_together_first() -> None:
     cells = [size(1.0), size(1.0, "t"), *delivered(1.0, 10), *delivered(1.0, 3, sequence="t")]
-    *tables, answers = chosen(run_of(*cells), Demand("radio", deadline_ms=100))
+    *tables, answers = choices(run_of(*cells), Demand("radio", deadline_ms=100))
     assert [table.title.split(":")[0] for table in tables] == ["all sequences together", "s", "t"]
     assert [table.rows[0][2] for table in tables] == ["65 %", "100 %", "30 %"]
     assert [table.rows[0][5] for table in tables] == ["5/10", "5/5", "0/5"]
@@ -284,7 +284,7 @@ def test_sequences_come_together_first() -> None:
 
 
 def test_without_a_rate_nothing_is_called_the_least() -> None:
-    table, answers = chosen(run_of(*delivered(1.0, 10)), Demand("radio", deadline_ms=100))
+    table, answers = choices(run_of(*delivered(1.0, 10)), Demand("radio", deadline_ms=100))
     assert table.sentences[1].startswith("No rate was measured")
     assert answers.sentences[0].startswith("Over radio use plain q=1.0: its rate is not known; passes")
 
@@ -300,14 +300,14 @@ BY_ERROR = [
 def test_the_error_is_the_same_with_a_demand_and_without() -> None:
     asked, free = (judged(demand, *BY_ERROR) for demand in (Demand("radio", error_m=0.5), Demand("radio")))
     assert asked["q=2.0"].error_m == free["q=2.0"].error_m == 0.11
-    heads = [chosen(run_of(*BY_ERROR), demand)[0].heads for demand in (Demand("radio", error_m=0.5), Demand("radio"))]
+    heads = [choices(run_of(*BY_ERROR), demand)[0].heads for demand in (Demand("radio", error_m=0.5), Demand("radio"))]
     assert heads[0] == heads[1]
 
 
 def test_without_a_demand_the_least_rate_that_passes_is_taken_over_each_link() -> None:
     cells = [*BY_ERROR, *read(1.0, [0.9] * 5, "wire"), *delivered(1.0, 10, "pigeon")]
     run = run_of(*cells)
-    radio, wire, answers = chosen(run, Demand(""))
+    radio, wire, answers = choices(run, Demand(""))
     picks = link_picks(run, Demand(""))
     asked = "s, a smaller error than with nothing received"
     assert [table.title for table in picks] == [
@@ -320,7 +320,7 @@ def test_without_a_demand_the_least_rate_that_passes_is_taken_over_each_link() -
     assert [sentence.split(":")[0] for sentence in answers.sentences] == [
         "Over radio use plain q=2.0", "Over wire use plain q=1.0"
     ]  # fmt: skip
-    alone, _ = chosen(run_of(*cells), Demand("wire"))
+    alone, _ = choices(run_of(*cells), Demand("wire"))
     assert alone.title.startswith("s: over wire")
 
 
@@ -332,11 +332,11 @@ def test_where_nothing_passes_over_a_link_its_row_says_so() -> None:
 
 def test_where_nothing_was_measured_it_is_said_for_all_links() -> None:
     with pytest.raises(NotMeasured, match="no evaluator of it has a link"):
-        chosen(run_of(size(1.0)), Demand("", error_m=0.1))
+        choices(run_of(size(1.0)), Demand("", error_m=0.1))
     with pytest.raises(NotMeasured, match="no error was measured over radio"):
-        chosen(run_of(size(1.0), *delivered(1.0, 10)), Demand(""))
+        choices(run_of(size(1.0), *delivered(1.0, 10)), Demand(""))
     with pytest.raises(NotMeasured, match="nothing was measured over link 'light'; it has radio"):
-        chosen(run_of(*BY_ERROR), Demand("light"))
+        choices(run_of(*BY_ERROR), Demand("light"))
 
 
 KBPS = Metric("kbps", "kbit/s", "lower", "", role="rate", headline=True)

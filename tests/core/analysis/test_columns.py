@@ -9,15 +9,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from codecbench.core.analysis.columns import Column, columns_of
-from codecbench.core.analysis.run_result import RunSchema
+from codecbench.core.analysis.run_result import Column, RunSchema, columns_of
 from codecbench.core.analysis.table import CellResult, wide
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry
 from codecbench.core.facade import Run
 from codecbench.core.report.page import write_report
-from codecbench.core.report.tables import chosen_columns, exported, short_table, shown, varying
+from codecbench.core.report.tables import drop_constant_columns, export_table, format_value, select_columns, short_table
 
 SEQUENCE = SequenceEntry("room", PluginSetting("dataset", "d", "1"), "f00d", 3, 3, True, True)
 WORK = Metric(
@@ -118,10 +117,10 @@ def test_the_short_table_is_in_units_and_words_for_people() -> None:
 def test_every_table_in_a_file_says_what_is_noted_of_a_setting(tmp_path: Path) -> None:
     """In the terminal and on pages it stands below; a file is read without what stood around it."""
     run = run_of(replace(ONE, notes=("half the colour",)), result("b", {}, size=3.0))
-    assert list(chosen_columns(run.wide, "*size*").columns)[3:] == ["test(n=2).size.mean", "test.size.mean", "notes"]
+    assert list(select_columns(run.wide, "*size*").columns)[3:] == ["test(n=2).size.mean", "test.size.mean", "notes"]
     tables = [replace(run, results=run.results[1:]).wide, run.wide]
     for form in ("csv", "json", "markdown", "latex"):
-        assert [exported(table, form).count(b"half the colour") for table in tables] == [0, 1]
+        assert [export_table(table, form).count(b"half the colour") for table in tables] == [0, 1]
     for form in ("markdown", "latex"):
         write_report(run, tmp_path / form, form)
         assert (tmp_path / form).read_text().count("half the colour") == 1
@@ -131,8 +130,8 @@ def test_every_table_in_a_file_says_what_is_noted_of_a_setting(tmp_path: Path) -
 def test_two_columns_under_one_head_are_both_shown() -> None:
     table = short_table(run_of(ONE))
     table.columns = pd.Index([*table.columns[:3], "same", "same", "same", "status"])
-    assert exported(table, "markdown").decode().count("same") == 3
-    assert exported(table, "latex").decode().count("same") == 3
+    assert export_table(table, "markdown").decode().count("same") == 3
+    assert export_table(table, "latex").decode().count("same") == 3
 
 
 @pytest.mark.parametrize(
@@ -145,28 +144,28 @@ def test_two_columns_under_one_head_are_both_shown() -> None:
     ],
 )  # fmt: skip
 def test_people_are_shown_three_digits_and_whole_numbers_in_full(value: object, text: str) -> None:
-    assert shown(value) == text
+    assert format_value(value) == text
 
 
 def test_what_is_the_same_in_all_rows_is_said_once() -> None:
     frame = pd.DataFrame({"sequence": ["s", "s"], "enc\nms": [0.9, 0.9], "setting": ["", ""], "gone": [None, None]})
     frame["size"] = [1.0, 2.0]
-    told, said = varying(frame)
+    told, said = drop_constant_columns(frame)
     assert (list(told.columns), said) == (["size"], "In all rows: sequence s, enc ms 0.900, gone –.")
-    assert varying(told)[1] == ""
-    assert list(varying(frame[:1])[0].columns) == list(frame.columns)
+    assert drop_constant_columns(told)[1] == ""
+    assert list(drop_constant_columns(frame[:1])[0].columns) == list(frame.columns)
 
 
 def test_files_for_people_are_rounded_and_those_for_programs_are_not() -> None:
     frame = pd.DataFrame({"codec": ["a*", "b_c"], "bits [%]": [0.60083, math.inf]})
-    assert exported(frame, "markdown", "in all rows: ok").decode().splitlines() == [
+    assert export_table(frame, "markdown", "in all rows: ok").decode().splitlines() == [
         "| codec | bits \\[%\\] |", "|---|---:|", "| a\\* | 0.601 |", "| b_c | ∞ |", "", "in all rows: ok",
     ]  # fmt: skip
-    assert exported(frame, "latex", "in all rows: ok").decode().splitlines() == [
+    assert export_table(frame, "latex", "in all rows: ok").decode().splitlines() == [
         "\\begin{tabular}{lr}", "\\toprule", "codec & bits [\\%] \\\\", "\\midrule", "a* & 0.601 \\\\",
         "b\\_c & $\\infty$ \\\\", "\\bottomrule", "\\end{tabular}", "% in all rows: ok",
     ]  # fmt: skip
-    assert exported(frame, "csv", "in all rows: ok").decode().splitlines() == [
+    assert export_table(frame, "csv", "in all rows: ok").decode().splitlines() == [
         "codec,bits [%]",
         "a*,0.60083",
         "b_c,inf",

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import ttest_1samp, ttest_ind
 
 from codecbench.core.analysis.evidence import (
-    combined,
+    combine,
     evidence_of_frames,
     evidence_of_repeats,
 )
@@ -31,7 +31,7 @@ def test_many_frames_that_differ_by_the_same_are_evidence() -> None:
     same = evidence_of_frames(np.full(8, 0.7))
     assert (same.mean, same.p_value) == (pytest.approx(0.7), 0.0)
     assert evidence_of_frames(np.zeros(8)).p_value == 1.0
-    assert combined([same, same]).p_value == 0.0
+    assert combine([same, same]).p_value == 0.0
 
 
 def drifting(rng: np.random.Generator, trials: int, count: int, correlation: float) -> np.ndarray:
@@ -92,7 +92,7 @@ def test_frames_still_find_a_difference(rng: np.random.Generator) -> None:
 
 def test_sequences_count_alike_however_long_they_are(rng: np.random.Generator) -> None:
     short, long = rng.normal(1.0, 1.0, 5), rng.normal(0.0, 0.1, 500)
-    found = combined([evidence_of_repeats(short), evidence_of_repeats(long)])
+    found = combine([evidence_of_repeats(short), evidence_of_repeats(long)])
     welch = ttest_ind(short, -long, equal_var=False)
     assert found.mean == pytest.approx(0.5 * (short.mean() + long.mean()))
     assert found.p_value == pytest.approx(welch.pvalue, rel=1e-9)
@@ -101,7 +101,7 @@ def test_sequences_count_alike_however_long_they_are(rng: np.random.Generator) -
 
 def test_where_each_sequence_has_one_run_sequences_are_the_samples(rng: np.random.Generator) -> None:
     means = rng.normal(0.5, 1.0, 6)
-    found = combined([evidence_of_repeats(np.array([mean])) for mean in means])
+    found = combine([evidence_of_repeats(np.array([mean])) for mean in means])
     assert found == evidence_of_repeats(means)
 
 

@@ -19,7 +19,7 @@ from project import SUPPORT
 from codecbench.core.engine.identity import digest
 from codecbench.core.engine.storage.environment import environment_id
 from codecbench.core.engine.text import LINE_LIMIT, clean_line, clean_text
-from codecbench.core.report.tables import escaped
+from codecbench.core.report.tables import escape
 
 pytestmark = pytest.mark.thorough
 
@@ -351,7 +351,7 @@ def test_text_is_cleaned_without_confusing_what_differs() -> None:
     assert len(long) < LINE_LIMIT + 100
     assert "5,001 characters" in long
     assert clean_line(long) == long or len(clean_line(long)) < LINE_LIMIT + 100
-    assert escaped("`a` <b> [c](d) *e* \\f & |") == "\\`a\\` &lt;b> \\[c\\](d) \\*e\\* \\\\f &amp; |"
+    assert escape("`a` <b> [c](d) *e* \\f & |") == "\\`a\\` &lt;b> \\[c\\](d) \\*e\\* \\\\f &amp; |"
 
 
 @pytest.mark.thorough

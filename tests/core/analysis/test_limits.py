@@ -7,11 +7,10 @@ import pytest
 import scipy.stats
 from measured_runs import cell_result, run_of
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.evidence import Evidence
-from codecbench.core.analysis.limits import Limit, limits, limits_of, together
+from codecbench.core.analysis.limits import Limit, joint_values, limits, limits_of
 from codecbench.core.analysis.passing import Joint, Level, Standing, Test
-from codecbench.core.analysis.run_result import CurvePoint
+from codecbench.core.analysis.run_result import Column, CurvePoint
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.engine.planning.model import PluginSetting
@@ -122,7 +121,7 @@ def test_runs_succeed_that_succeed_in_every_column() -> None:
     raw = {("s", "raw", ""): {(2, 0): 1.0}}
     first = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 1.0, (2, 0): 1.0}, **raw}
     second = {("s", "mine", "q"): {(0, 0): 1.0, (1, 0): 0.0}, **raw}
-    assert together([first, second])["s", "mine", "q"] == [1.0, 0.0, pytest.approx(float("nan"), nan_ok=True)]
+    assert joint_values([first, second])["s", "mine", "q"] == [1.0, 0.0, pytest.approx(float("nan"), nan_ok=True)]
 
 
 def test_runs_of_which_nobody_can_be_judged_count_for_nobody() -> None:
@@ -130,10 +129,10 @@ def test_runs_of_which_nobody_can_be_judged_count_for_nobody() -> None:
     nan = float("nan")
     mine = {(0, 0): 1.0, (1, 0): nan, (2, 0): nan}
     raw = {(0, 0): 1.0, (1, 0): nan, (2, 0): 1.0}
-    found = together([{("s", "mine", "q"): mine, ("s", "raw", ""): raw}])
+    found = joint_values([{("s", "mine", "q"): mine, ("s", "raw", ""): raw}])
     assert found["s", "raw", ""] == [1.0, 1.0]
     assert found["s", "mine", "q"] == [1.0, pytest.approx(nan, nan_ok=True)]
-    assert together([{("s", "mine", "q"): {(0, 0): nan}}]) == {("s", "mine", "q"): []}
+    assert joint_values([{("s", "mine", "q"): {(0, 0): nan}}]) == {("s", "mine", "q"): []}
     assert limit_of(Standing("q", 1.0, 0, 0)).reason == "its runs cannot be judged here"
 
 

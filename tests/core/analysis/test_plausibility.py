@@ -13,7 +13,7 @@ from distributions import install_source
 from measured_runs import cell_result
 
 import codecbench
-from codecbench.core.analysis.plausibility import with_doubts
+from codecbench.core.analysis.collect import add_doubts
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.tables import setting_notes
@@ -91,7 +91,7 @@ def row(codec: str, bpp: float, png_bpp: float = 12.0, psnr: float = math.inf, d
 
 def doubts(*rows: CellResult, streams: tuple[str, ...] = ()) -> dict[str, str]:
     stateless = {each.cell.codec.name: each.cell.codec.name not in streams for each in rows}
-    return {each.cell.codec.name: each.notes[0] for each in with_doubts(rows, stateless) if each.notes}
+    return {each.cell.codec.name: each.notes[0] for each in add_doubts(rows, stateless) if each.notes}
 
 
 RAW, PNG, XL = row("raw", 24.0), row("png", 12.0), row("jpegxl", 8.0)
@@ -122,4 +122,4 @@ def test_what_is_not_lossless_or_has_memory_or_drawn_pictures_is_not_noted() -> 
 
 
 def test_a_plan_that_does_not_say_what_has_memory_notes_nothing() -> None:
-    assert [each.notes for each in with_doubts([XL, row("new", 0.5)], {})] == [(), ()]
+    assert [each.notes for each in add_doubts([XL, row("new", 0.5)], {})] == [(), ()]

@@ -14,7 +14,7 @@ from scipy.stats import binom, ttest_1samp
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import Evidence, evidence_of_repeats
 from codecbench.core.analysis.passing import Standing
-from codecbench.core.analysis.power import LimitPower, Remedy, pair_powers, smallest_difference, times
+from codecbench.core.analysis.power import LimitPower, Remedy, pair_powers, scale_evidence, smallest_difference
 from codecbench.core.analysis.ranking import Gap
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import CellResult
@@ -53,7 +53,7 @@ def test_the_smallest_difference_is_found_as_often_as_is_said(
 
 def test_more_of_the_same_is_what_is_said_of_it(rng: np.random.Generator) -> None:
     values = rng.normal(1.0, 2.0, 20)
-    more = times(evidence_of_repeats(values), 3.0)
+    more = scale_evidence(evidence_of_repeats(values), 3.0)
     assert more.freedom == 59
     assert more.variance == pytest.approx(np.var(values, ddof=1) / 60)
 
@@ -70,10 +70,10 @@ def test_a_clear_difference_stands_and_a_small_one_says_what_would_tell(rng: np.
     more = small.more_units
     assert more is not None
     assert more > 0
-    enough = times(small.evidence, (12 + more) / 12)
+    enough = scale_evidence(small.evidence, (12 + more) / 12)
     least = SMALLEST + small.evidence.doubt
     assert least + smallest_difference(enough, small.level, 0.8) <= abs(small.difference) * 1.0001
-    short = times(small.evidence, (12 + more - 1) / 12)
+    short = scale_evidence(small.evidence, (12 + more - 1) / 12)
     assert least + smallest_difference(short, small.level, 0.8) > abs(small.difference)
 
 
@@ -131,7 +131,7 @@ def test_what_would_decide_is_one_thing(
 def test_the_success_rate_that_is_told_is_told_as_often_as_is_said(runs: int) -> None:
     limit = LimitPower((), "s", "jpeg", Standing("q", 1.0, 0, runs), 0.8)
     found = sum(
-        binom.pmf(successes, runs, limit.told_from)
+        binom.pmf(successes, runs, limit.detectable_rate)
         for successes in range(runs + 1)
         if Standing("", 1.0, successes, runs).verdict == "passes"
     )
@@ -140,7 +140,7 @@ def test_the_success_rate_that_is_told_is_told_as_often_as_is_said(runs: int) ->
 
 def test_three_runs_could_not_tell_anything() -> None:
     limit = LimitPower((), "s", "jpeg", Standing("q", 1.0, 3, 3), 0.8)
-    assert math.isnan(limit.told_from)
+    assert math.isnan(limit.detectable_rate)
     assert limit.more_runs == 1
 
 

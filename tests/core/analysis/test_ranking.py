@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import Evidence, student_quantile
-from codecbench.core.analysis.ranking import Gap, Ranked, Ranking, _significant, holm, rankings
+from codecbench.core.analysis.ranking import Gap, Ranked, Ranking, _significance, holm, rankings
 from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import CellResult
 
@@ -116,8 +116,8 @@ def test_rows_are_in_order_of_the_rate_that_they_show(rng: np.random.Generator) 
     shown = [evidence.mean for evidence in beside if evidence is not None]
     assert len(shown) == 3
     assert shown == sorted(shown, reverse=True)
-    assert sorted(found.not_compared("aside")) == ["alias", "late", "plain"]
-    assert found.not_compared("costly") == ()
+    assert sorted(found.without_common_rate("aside")) == ["alias", "late", "plain"]
+    assert found.without_common_rate("costly") == ()
     assert max(found.ranked, key=lambda ranked: ranked.score).curve == found.recommended.curve
     values = [ranked.value for ranked in rankings(run, at=1.0)[0].ranked]
     assert values == sorted(values, key=float), "an error is best first"
@@ -154,7 +154,7 @@ def test_the_best_of_equal_codecs_is_ruled_out_in_at_most_one_table_of_a_hundred
     for _ in range(2000):
         means = rng.normal(0.0, 0.3, 6)
         evidence = {(i, j): Evidence(float(means[i] - means[j]), 0.18, 1e9) for i, j in combinations(range(6), 2)}
-        better = _significant(6, evidence)[0]
+        better = _significance(6, evidence)[0]
         found = ranking_of([(names[i], names[j], 0.3, 0.5) for i, j in evidence])
         ranked = tuple(replace(each, first=1 + int(better[:, place].sum())) for place, each in enumerate(found.ranked))
         pairs = tuple((names[i], names[j], each) for (i, j), each in evidence.items())
@@ -170,7 +170,7 @@ def test_a_bound_counts_in_scores_only_where_nothing_else_is_known() -> None:
         (0, 2): Evidence(0.5, 0.01, 9.0, at_least=True),
         (1, 2): Evidence(2.0, 0.01, 9.0, at_least=True),
     }
-    scores = _significant(3, pairs)[1]
+    scores = _significance(3, pairs)[1]
     assert scores[0] - scores[1] == pytest.approx(0.1, abs=1e-4)
     assert 0.5 < scores[0] - scores[2] < 2.1
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from kept_runs import write_kept_run
 
-from codecbench.core.analysis.verification import repeatable_metrics, sampled, verifiable_cells
+from codecbench.core.analysis.verification import repeatable_metrics, sample_cells, verifiable_cells
 from codecbench.core.engine.planning.model import Plan
 
 
@@ -34,7 +34,7 @@ def test_cells_without_a_result_or_with_times_alone_are_not_sampled(plan: Plan) 
 
 def test_equal_seeds_choose_equal_cells_and_every_cell_is_chosen_as_often(plan: Plan) -> None:
     cells = list(plan.cells)
-    assert sampled(cells, 3, 7) == sampled(cells[::-1], 3, 7)[::-1]
-    assert sampled(cells, 100, 7) == cells
-    counts = Counter(cell.id for seed in range(600) for cell in sampled(cells, 3, seed))
+    assert sample_cells(cells, 3, 7) == sample_cells(cells[::-1], 3, 7)[::-1]
+    assert sample_cells(cells, 100, 7) == cells
+    counts = Counter(cell.id for seed in range(600) for cell in sample_cells(cells, 3, seed))
     assert all(250 < counts[cell.id] < 350 for cell in cells)

@@ -9,8 +9,8 @@ import pytest
 from measured_runs import ANCHORS, BLUR, DRIFT, METRICS, SCORE, Values, cell_result, run_of
 from scipy.interpolate import PchipInterpolator
 
-from codecbench.core.analysis.columns import Column
 from codecbench.core.analysis.ranking import rankings, rankings_on
+from codecbench.core.analysis.run_result import Column
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.analysis.verdicts import (
     anchors_of,

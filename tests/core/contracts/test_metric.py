@@ -24,7 +24,7 @@ from codecbench import (
 from codecbench.core.analysis.collect import schema_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.contracts.metric import AGGREGATES
-from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared, read_declared
+from codecbench.core.engine.planning.declared import codec_declaration, evaluator_declaration, read_declaration
 from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, RunSettings, SequenceEntry, plan_from_json
 from codecbench.core.engine.storage import aggregate
 from codecbench.core.report.views import curve_styles
@@ -126,8 +126,8 @@ def plan_with(meaning: dict[str, object]) -> Plan:
 def test_meaning_travels_with_the_plan() -> None:
     codec = SimpleNamespace(name="plain", reference="anchor", stateless=True)
     meant = {
-        "codecs": {codec.name: codec_declared(codec)},
-        "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())},
+        "codecs": {codec.name: codec_declaration(codec)},
+        "evaluators": {"grain(size=2)": evaluator_declaration(Grain.create())},
     }
     plan = plan_from_json(json.loads(json.dumps(plan_with(meant).as_json())))
     meaning = schema_of(plan, {})
@@ -148,7 +148,7 @@ def test_a_plan_of_an_earlier_version_takes_its_meaning_from_what_is_installed()
 
 
 def test_what_a_later_version_stored_and_this_one_cannot_read_falls_back() -> None:
-    meant = {"codecs": {}, "evaluators": {"grain(size=2)": evaluator_declared(Grain.create())}}
+    meant = {"codecs": {}, "evaluators": {"grain(size=2)": evaluator_declaration(Grain.create())}}
     meant["evaluators"]["grain(size=2)"]["metrics"][0] |= {"role": "mood", "aura": 1}
     meaning = schema_of(plan_with(meant), {"grain(size=2)": Grain.create()})
     assert meaning.metrics["grain(size=2)"]["grain_db"] == Grain.metrics[0]
@@ -235,7 +235,7 @@ def test_former_names_still_work() -> None:
     assert metric == Metric("age_s", "s", "lower", "", quantity="delay", column_header="age")
     assert (metric.need, metric.brief) == ("delay", "age")
     stored = {"name": "age_s", "unit": "s", "better": "lower", "summary": "", "need": "delay"}
-    assert read_declared(Metric, stored).quantity == "delay"
+    assert read_declaration(Metric, stored).quantity == "delay"
     rows = (codecbench.Lane("late", "bad", np.zeros(1, bool)),)
     timeline = codecbench.Course(np.arange(1), None, np.zeros(1), "s", lanes=rows)
     assert Drawing((), "ages", course=timeline).timeline.rows == rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from codecbench.core.engine.text import describe_error, ended
+from codecbench.core.engine.text import describe_error, describe_exit
 
 
 class Untold(Exception):
@@ -34,4 +34,4 @@ def test_an_exception_is_told(error: BaseException, words: str) -> None:
     ],
 )
 def test_an_end_is_told(status: int, words: str) -> None:
-    assert ended(status) == words
+    assert describe_exit(status) == words

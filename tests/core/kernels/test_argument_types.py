@@ -37,7 +37,8 @@ def test_the_type_of_a_value_is_written_and_read(text: str) -> None:
 
 
 def test_named_tuples_are_found_by_their_class() -> None:
-    text = 'named("codecbench.slam.map.kernels:Links", int64[::1], int64[::1], int32[:, ::1], int64[:, ::1], bool[::1])'
+    name = "codecbench.slam.map.observation_kernels:Links"
+    text = f'named("{name}", int64[::1], int64[::1], int32[:, ::1], int64[:, ::1], bool[::1])'
     (found,) = types_from_text(text)
     assert found.instance_class.__name__ == "Links"
     assert text_from_types((found,)) == text

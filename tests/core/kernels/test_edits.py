@@ -118,7 +118,7 @@ def test_an_edit_that_changes_no_code_compiles_nothing(project: Project) -> None
 
 SLAM = """
 import numpy as np
-from codecbench.slam.optimisation.pose_optimization import optimize_pose
+from codecbench.slam.optimization.pose_optimization import optimize_pose
 points = np.array([[x, y, 5.0 + x * y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 pixels = points[:, :2] / points[:, 2:] * 500.0 + [320.0, 240.0]
 pixels[:, 0] += [2.0, -2.0, 2.0, -2.0, 0.0, -2.0, 2.0, -2.0, 2.0]

@@ -14,7 +14,7 @@ import pytest
 
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.core.engine.running.warm_up import kernels_called
+from codecbench.core.engine.running.warm_up import declared_kernels
 from codecbench.core.kernels.manifest import ManifestError, entries_of
 from codecbench.plugins.codecs.multilevel import Multilevel
 
@@ -98,7 +98,7 @@ def test_after_warming_up_a_whole_slam_run_compiles_nothing(tmp_path: Path) -> N
 def test_a_setting_names_the_kernels_that_it_calls() -> None:
     """The profile `context` is the longest to compile by far, and the static one calls nothing of it."""
     whole, static, context, stream = (
-        set(kernels_called(installed(), "codec", name, params)["kernels"])
+        set(declared_kernels(installed(), "codec", name, params)["kernels"])
         for name, params in (
             ("multilevel", None), ("multilevel", {}), ("multilevel", {"profile": "context"}), ("multilevel_stream", {}),
         )
@@ -123,7 +123,7 @@ def test_of_the_kernels_that_differ_a_setting_lists_its_own(setting: dict[str, s
         "color:rgb_from_ycbcr", "color:halve", "tables:encode_tuples", "tables:encode_codes",
         "rice:encode_ordered_tuples", "levels:_transpose", "keys:greedy_search",
     }  # fmt: skip
-    called = kernels_called(installed(), "codec", "multilevel", setting)["kernels"]
+    called = declared_kernels(installed(), "codec", "multilevel", setting)["kernels"]
     listed_ahead = {entry.kernel.rpartition(".")[2] for name in called for entry in entries_of(name)}
     assert " ".join(sorted(listed_ahead & differ)) == kernels
 
@@ -134,7 +134,7 @@ def test_of_the_kernels_that_differ_a_setting_lists_its_own(setting: dict[str, s
     ids=["static", "context"],
 )
 def test_what_a_setting_leaves_out_is_not_compiled_ahead(setting: dict[str, str], foreign: str) -> None:
-    called = kernels_called(installed(), "codec", "multilevel", setting)["kernels"]
+    called = declared_kernels(installed(), "codec", "multilevel", setting)["kernels"]
     listed_ahead = {entry.kernel for name in called for entry in entries_of(name)}
     everything = {entry.kernel for name in Multilevel.kernels for entry in entries_of(name)}
     assert not [kernel for kernel in listed_ahead if foreign in kernel]

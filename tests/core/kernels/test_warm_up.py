@@ -101,17 +101,17 @@ def test_work_waits_for_its_own_kernels_and_long_work_for_none() -> None:
         Entry(f"module:{name}", "fast", "int64", 1.0, stage) for name, stage in (("a", 0), ("b", 0), ("late", 1))
     )
     warm_up = WarmUp({late: (), first: (), second: ()}, {"cell": frozenset({second, late}), "job": frozenset({first})})
-    assert warm_up.serves("another cell")
+    assert warm_up.is_ready("another cell")
     taken = [warm_up.take(), warm_up.take()]
     assert [task.argument[0] for task in taken if task] == [first, second]
     assert warm_up.take() is None, "what only longer work comes to waits for the others"
-    assert not warm_up.serves("job")
+    assert not warm_up.is_ready("job")
     assert taken[1] is not None
-    assert warm_up.took(Finished(taken[1].id, "failed", reason="no compiler"))
-    assert warm_up.serves("cell"), "it compiles at the first call what could not be compiled ahead"
-    assert not warm_up.took(Finished("cell", "ok"))
+    assert warm_up.finish(Finished(taken[1].id, "failed", reason="no compiler"))
+    assert warm_up.is_ready("cell"), "it compiles at the first call what could not be compiled ahead"
+    assert not warm_up.finish(Finished("cell", "ok"))
     assert taken[0] is not None
-    assert warm_up.took(Finished(taken[0].id, "ok"))
+    assert warm_up.finish(Finished(taken[0].id, "ok"))
     last = warm_up.take()
     assert last is not None
     assert last.argument[0] == late

@@ -13,8 +13,7 @@ from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.engine.planning.model import SearchFinding
 from codecbench.core.report.answers import Answers, answers
-from codecbench.core.report.pasting import answer_tables, pasted
-from codecbench.core.report.picks import picks
+from codecbench.core.report.picks import answer_tables, picks, text_to_paste
 
 
 def tracked(codec: str, rate: float, held: list[float], sequence: str = "s") -> list[CellResult]:
@@ -263,7 +262,7 @@ def test_of_codecs_that_nothing_judges_every_setting_is_told() -> None:
 def test_a_pasted_table_brings_what_is_noted_and_the_answer(form: str) -> None:
     run = judged()
     noted = replace(run, results=[replace(run.results[0], notes=("half the color",)), *run.results[1:]])
-    text = pasted(noted, answer_tables(noted), form)
+    text = text_to_paste(noted, answer_tables(noted), form)
     wanted = {
         "markdown": (
             "### notes\n\n- raw: half the color.\n\n"

@@ -13,7 +13,7 @@ from codecbench.core.analysis.run_result import RunResult
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.report.answers import answers
 from codecbench.core.report.page import render
-from codecbench.core.report.pasting import answer_tables, pasted
+from codecbench.core.report.picks import answer_tables, text_to_paste
 from codecbench.core.report.tables import calibration_notes, notes
 
 SCATTER = np.array([0.98, 1.03, 0.99, 1.01])
@@ -56,7 +56,7 @@ def test_an_order_that_turns_is_named_with_its_numbers() -> None:
         "road-k1+0.01 (32 against 8.9 m): their order is within what this calibration can tell.",
     ]
     assert notes(run)[:2] == calibration_notes(run)
-    pages = pasted(run, answer_tables(run), "markdown"), render(run, lambda _: {"frames": [], "originals": []})
+    pages = text_to_paste(run, answer_tables(run), "markdown"), render(run, lambda _: {"frames": [], "originals": []})
     assert all(page.count("is within what this calibration can tell") == 1 for page in pages)
 
 

@@ -13,8 +13,8 @@ from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.report.answers import answers
 from codecbench.core.report.page_data import page_data
-from codecbench.core.report.pictures import _kept
-from codecbench.core.report.views import Pick, bounds, first_view, picked
+from codecbench.core.report.pictures import _select
+from codecbench.core.report.views import Pick, answer_picks, bounds, first_view
 
 LOCATED = Metric("located", "1", "higher", "", role="task", headline=True, enough=0.9)
 
@@ -66,7 +66,7 @@ def test_the_setting_of_the_answer_comes_first_and_then_that_of_each_codec() -> 
         *tracked("bad", 5.0, [0.0] * 4),
     )
     assert answers(run).sentence.startswith("Use good q=0.5")
-    assert picked(run) == [Pick("good", "q=0.5", True), Pick("plain", "q=2.0", True), Pick("bad", "q=5.0", False)]
+    assert answer_picks(run) == [Pick("good", "q=0.5", True), Pick("plain", "q=2.0", True), Pick("bad", "q=5.0", False)]
 
 
 def test_a_setting_for_all_sequences_is_picked_by_what_it_does_on_all() -> None:
@@ -75,7 +75,7 @@ def test_a_setting_for_all_sequences_is_picked_by_what_it_does_on_all() -> None:
         for sequence, held in (("one", 1.0), ("two", 0.0))
         for cell in [*tracked("plain", 2.0, [1.0] * 4, sequence), *tracked("plain", 1.0, [held] * 4, sequence)]
     ]
-    assert picked(run_of(*cells)) == [Pick("plain", "q=2.0", True)]
+    assert answer_picks(run_of(*cells)) == [Pick("plain", "q=2.0", True)]
 
 
 def test_where_nothing_passes_the_nearest_is_picked_and_else_the_finest_of_the_first() -> None:
@@ -83,8 +83,8 @@ def test_where_nothing_passes_the_nearest_is_picked_and_else_the_finest_of_the_f
     likely = [*tracked("plain", 2.0, [1.0] * 2), *tracked("other", 1.0, [1.0] * 2)]
     run = run_of(*none, *likely)
     assert "nearest is other q=1.0" in answers(run).sentence
-    assert [pick.setting for pick in picked(run)] == ["q=1.0", "q=2.0", "q=9.0"]
-    assert picked(run_of(*none)) == [Pick("bad", "q=9.0", False)]
+    assert [pick.setting for pick in answer_picks(run)] == ["q=1.0", "q=2.0", "q=9.0"]
+    assert answer_picks(run_of(*none)) == [Pick("bad", "q=9.0", False)]
 
 
 def test_what_is_asked_is_known_of_each_column_and_sequence() -> None:
@@ -101,4 +101,4 @@ def test_what_is_asked_is_known_of_each_column_and_sequence() -> None:
 )
 def test_settings_of_the_answer_stay_where_not_all_fit(count: int, kept: list[int]) -> None:
     names = [("plain", f"q={number}") for number in range(6)]
-    assert _kept(names, count, [names[4], ("gone", ""), names[2]]) == kept
+    assert _select(names, count, [names[4], ("gone", ""), names[2]]) == kept

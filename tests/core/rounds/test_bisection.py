@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from codecbench.core.rounds.searching import Bisected, Side, bisection
+from codecbench.core.rounds.searching import BisectionResult, Side, bisection
 
 
-def ask(length: int, side: Callable[[int], Side], budget: int = 1000) -> tuple[Bisected, list[int]]:
+def ask(length: int, side: Callable[[int], Side], budget: int = 1000) -> tuple[BisectionResult, list[int]]:
     questions, asked = bisection(length, budget), []
     try:
         places = next(questions)

@@ -21,9 +21,9 @@ import codecbench
 from codecbench.cli import cli
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.core.engine.running.summary import RunSummary
+from codecbench.core.engine.running.progress import RunSummary
 from codecbench.core.engine.storage.store import Store
-from codecbench.core.rounds.running import planned, run_matrix
+from codecbench.core.rounds.running import plan_matrix, run_matrix
 
 pytestmark = pytest.mark.thorough
 
@@ -179,7 +179,7 @@ def test_plan_and_rank_say_how_far_a_search_is(place: Path) -> None:
 def test_the_example_reaches_one_rate_with_every_codec(tmp_path: Path) -> None:
     matrix = read_matrix(ROOT / "examples" / "search.yaml")
     run_matrix(matrix, tmp_path / "run")
-    plan, _, _ = planned(matrix, tmp_path / "run")
+    plan, _, _ = plan_matrix(matrix, tmp_path / "run")
     for found in plan.searches:
         assert found.state in ("nearest", "found"), found
         if found.objective.startswith("rate_bpp"):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from codecbench.slam.features.uncertainty import pixel_variances
+from codecbench.slam.features.extractor import pixel_variances
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.thresholds import CAMERA_SIGMA_DEG, KEYPOINT_SIGMA_PX
 

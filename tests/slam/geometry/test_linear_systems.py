@@ -7,7 +7,7 @@ from codecbench.slam.geometry.linear_systems import (
     envelope_offsets,
     envelope_order,
     factorize_envelope,
-    first_neighbours,
+    first_neighbors,
     solve_envelope,
     solve_symmetric,
 )
@@ -35,7 +35,7 @@ def test_envelope_solution_agrees_with_numpy(block: int, density: float, rng: np
     adjacency = rng.random((25, 25)) < density
     adjacency |= adjacency.T
     matrix, right_side = sparse_system(rng, adjacency, block), rng.normal(size=25 * block)
-    first = first_neighbours(adjacency)
+    first = first_neighbors(adjacency)
     offsets = envelope_offsets(first, block)
     values, x = packed(matrix, first, block), right_side.copy()
     assert len(values) == offsets[-1]
@@ -61,8 +61,8 @@ def test_a_ring_gets_a_narrow_band_and_a_chain_keeps_its_order() -> None:
         laps[k, k + 30] = laps[k + 30, k] = True
     order = envelope_order(laps)
     assert sorted(order) == list(range(60))
-    widths = np.arange(60) - first_neighbours(laps[np.ix_(order, order)])
-    assert widths.sum() < 0.3 * (np.arange(60) - first_neighbours(laps)).sum()
+    widths = np.arange(60) - first_neighbors(laps[np.ix_(order, order)])
+    assert widths.sum() < 0.3 * (np.arange(60) - first_neighbors(laps)).sum()
 
 
 def test_small_systems_agree_with_numpy(rng: np.random.Generator) -> None:

@@ -5,8 +5,8 @@ import pytest
 from rendered_scenes import CAMERA, Floats, two_views
 from scipy.optimize import least_squares
 
-from codecbench.slam.geometry.motion_uncertainty import direction_deviation_deg, sampson_distances
 from codecbench.slam.geometry.transforms import se3_exp
+from codecbench.slam.geometry.two_view import direction_deviation_deg, sampson_distances
 
 pytestmark = pytest.mark.thorough
 

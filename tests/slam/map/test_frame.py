@@ -21,7 +21,7 @@ def test_a_synchronised_frame_has_what_its_keyframe_has_now(rng: np.random.Gener
     slam_map.remove_points(shown[:5])
     corrected = looking((0.21, 0.01, 0.0), 0.05)
     slam_map.keyframes.set_pose(1, corrected)
-    frame.synchronise(slam_map)
+    frame.synchronize(slam_map)
     assert np.array_equal(frame.camera_from_world, corrected)
     assert frame.points.tolist() == [NONE] * 5 + shown[5:].tolist()
 
@@ -32,7 +32,7 @@ def test_a_synchronised_frame_is_its_own(rng: np.random.Generator) -> None:
     slam_map, _ = build_map(POSES, points, descriptors)
     frame, _ = observe_scene(POSES[1], points, descriptors)
     frame.reference = 1
-    frame.synchronise(slam_map)
+    frame.synchronize(slam_map)
     frame.camera_from_world[:3, 3] += 1.0
     frame.points[:] = NONE
     assert np.array_equal(slam_map.keyframes.camera_from_world[1], POSES[1])

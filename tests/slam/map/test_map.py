@@ -6,7 +6,7 @@ from map_scenes import assert_consistent, build_map
 from rendered_scenes import looking, random_descriptors
 
 from codecbench.slam.geometry.transforms import sim3_exp
-from codecbench.slam.map.map import NONE, Map, grown
+from codecbench.slam.map.map import NONE, Map, ensure_rows
 
 pytestmark = pytest.mark.thorough
 
@@ -20,7 +20,7 @@ def slam_map(rng: np.random.Generator) -> Map:
 
 
 def test_a_grown_array_keeps_its_rows() -> None:
-    array = grown(np.arange(6).reshape(3, 2), 4, NONE)
+    array = ensure_rows(np.arange(6).reshape(3, 2), 4, NONE)
     assert array.shape == (6, 2)
     assert array[:3].tolist() == [[0, 1], [2, 3], [4, 5]]
     assert (array[3:] == NONE).all()

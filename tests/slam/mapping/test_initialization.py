@@ -8,7 +8,12 @@ from rendered_scenes import CAMERA, features_at, random_descriptors, two_views
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.geometry.transforms import se3_exp
 from codecbench.slam.map.frame import TrackingFrame
-from codecbench.slam.mapping.initialization import Initializer, TwoViewStart, match_for_start, start_from_two_views
+from codecbench.slam.mapping.initialization import (
+    Initializer,
+    TwoViewReconstruction,
+    match_for_initialization,
+    reconstruct_two_views,
+)
 
 pytestmark = pytest.mark.thorough
 
@@ -19,7 +24,9 @@ def test_features_are_matched_that_moved_by_less_than_ten_degrees(rng: np.random
     descriptors, pixels = random_descriptors(rng, 300), rng.uniform([80.0, 20.0], [300.0, 220.0], (300, 2))
     angles_deg = rng.uniform(0.0, 20.0, 300)
     moved = pixels - np.column_stack([np.deg2rad(angles_deg) * CAMERA.fx, np.zeros(300)])
-    matches = match_for_start(features_at(scale * pixels, descriptors), features_at(scale * moved, descriptors), camera)
+    matches = match_for_initialization(
+        features_at(scale * pixels, descriptors), features_at(scale * moved, descriptors), camera
+    )
     assert (matches[angles_deg < 9.9] == np.arange(300)[angles_deg < 9.9]).all()
     assert (matches[angles_deg > 10.1] == -1).all()
 
@@ -29,8 +36,8 @@ def test_the_motion_is_found_and_the_model_fits_the_scene(rng: np.random.Generat
     views = two_views(rng, planar=planar)
     descriptors = random_descriptors(rng, 300)
     first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
-    start = start_from_two_views(first, second, np.arange(300), VARIANCES, CAMERA, np.random.default_rng(0))
-    assert isinstance(start, TwoViewStart)
+    start = reconstruct_two_views(first, second, np.arange(300), VARIANCES, CAMERA, np.random.default_rng(0))
+    assert isinstance(start, TwoViewReconstruction)
     assert start.model == ("homography" if planar else "fundamental")
     scale = np.linalg.norm(views.b_from_a[:3, 3])
     assert np.abs(start.second_from_first[:3, :3] - views.b_from_a[:3, :3]).max() < 1e-6
@@ -44,8 +51,8 @@ def test_wrong_matches_do_not_matter(rng: np.random.Generator) -> None:
     first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
     matches = np.arange(300)
     matches[:60] = np.roll(matches[:60], 1)
-    start = start_from_two_views(first, second, matches, VARIANCES, CAMERA, np.random.default_rng(0))
-    assert isinstance(start, TwoViewStart)
+    start = reconstruct_two_views(first, second, matches, VARIANCES, CAMERA, np.random.default_rng(0))
+    assert isinstance(start, TwoViewReconstruction)
     assert np.abs(start.second_from_first[:3, :3] - views.b_from_a[:3, :3]).max() < 0.02
     assert (start.features_first >= 60).mean() > 0.97
 
@@ -59,7 +66,7 @@ def test_pure_rotation_gives_no_map(rng: np.random.Generator, turn: float, noise
     turned[:30] = rng.uniform([0.0, 0.0], [320.0, 240.0], (30, 2))  # wrong matches
     descriptors = random_descriptors(rng, 300)
     first, second = features_at(views.pixels_a, descriptors), features_at(turned, descriptors)
-    start = start_from_two_views(first, second, np.arange(300), VARIANCES, CAMERA, np.random.default_rng(0))
+    start = reconstruct_two_views(first, second, np.arange(300), VARIANCES, CAMERA, np.random.default_rng(0))
     assert isinstance(start, str)
     assert "a rotation explains" in start
 
@@ -69,7 +76,7 @@ def test_few_matches_are_refused_with_a_reason(rng: np.random.Generator) -> None
     descriptors = random_descriptors(rng, 300)
     first, second = features_at(views.pixels_a, descriptors), features_at(views.pixels_b, descriptors)
     matches = np.where(np.arange(300) < 50, np.arange(300), -1)
-    start = start_from_two_views(first, second, matches, VARIANCES, CAMERA, np.random.default_rng(0))
+    start = reconstruct_two_views(first, second, matches, VARIANCES, CAMERA, np.random.default_rng(0))
     assert start == "50 matches between the first two frames"
 
 

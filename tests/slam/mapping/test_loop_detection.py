@@ -72,7 +72,7 @@ def test_a_loop_is_seen_when_its_candidate_has_held_for_three_keyframes(rng: np.
     *early, loop = detect(place_seen_twice(rng, MATCHES))
     assert early == [None, None]
     assert loop is not None
-    assert (loop.keyframe, loop.matched) == (3, 0)
+    assert (loop.keyframe, loop.matched_keyframe) == (3, 0)
     expected = POSES[3].copy()
     expected[:3, :3] *= SCALE
     expected[:3, 3] *= SCALE
@@ -129,7 +129,7 @@ def test_a_place_of_another_map_is_seen_in_that_maps_coordinates() -> None:
     there.transform(moved)
     loop = detect(here, there)[-1]
     assert loop is not None
-    assert (loop.keyframe, loop.matched) == (3, 0)
+    assert (loop.keyframe, loop.matched_keyframe) == (3, 0)
     expected = POSES[3].copy()
     expected[:3] *= SCALE
     assert np.abs(loop.keyframe_from_world @ moved - expected).max() < 1e-6

@@ -11,7 +11,7 @@ from solver_scenes import similarity_from_tangent
 
 from codecbench.slam.mapping.loop_closing import close_loop
 from codecbench.slam.mapping.loop_detection import Loop
-from codecbench.slam.mapping.map_merging import reroot_spanning_tree, take_in
+from codecbench.slam.mapping.map_merging import absorb_map, reroot_spanning_tree
 from codecbench.slam.mapping.mapper import Mapper
 
 pytestmark = pytest.mark.thorough
@@ -41,7 +41,7 @@ def halves(rng: np.random.Generator) -> tuple[Mapper, Mapper, Loop, NDArray[np.f
 
 def test_two_parts_of_a_walk_fit_together_exactly(rng: np.random.Generator) -> None:
     first, second, seen, points = halves(rng)
-    joint = take_in(first, second, seen)
+    joint = absorb_map(first, second, seen)
     slam_map = first.map
     assert np.allclose(joint.map_from_other, np.linalg.inv(MOVED))
     assert slam_map.keyframes.count == len(FIRST) + len(SECOND)
@@ -59,7 +59,7 @@ def test_two_parts_of_a_walk_fit_together_exactly(rng: np.random.Generator) -> N
 def test_points_of_both_sides_become_one(rng: np.random.Generator) -> None:
     first, second, seen, points = halves(rng)
     both = np.intersect1d(first.map.alive_points, second.map.alive_points)
-    joint = take_in(first, second, seen)
+    joint = absorb_map(first, second, seen)
     close_loop(first.map, CAMERA, joint.loop)
     resolved = first.map.resolve_points(both), first.map.resolve_points(both + joint.first_point)
     joined = (resolved[0] == resolved[1]) & (resolved[0] >= 0)
@@ -70,7 +70,7 @@ def test_points_of_both_sides_become_one(rng: np.random.Generator) -> None:
 def test_keyframes_of_the_other_map_are_recognised_here(rng: np.random.Generator) -> None:
     first, second, seen, _ = halves(rng)
     nodes = second.places.nodes(9)
-    number = int(take_in(first, second, seen).numbers[9])
+    number = int(absorb_map(first, second, seen).numbers[9])
     assert np.array_equal(first.places.nodes(number), nodes)
     assert first.places.loop_candidates(number, first.places)  # it is in the index: this raises KeyError where not
 
@@ -82,8 +82,8 @@ def test_points_on_probation_are_tended_on(rng: np.random.Generator) -> None:
     second.map.remove_points(np.array([shared]))
     second.add_points(9, features[1], 8, features[0], np.array([[1.0, 1.0, 9.0]]))
     young = int(second.map.alive_points[-1])
-    joint = take_in(first, second, seen)
-    first.map.points.visible[young + joint.first_point] = 100  # and hardly ever found
+    joint = absorb_map(first, second, seen)
+    first.map.points.visible_counts[young + joint.first_point] = 100  # and hardly ever found
     first._cull_points()
     assert not first.map.points.alive[young + joint.first_point]
 

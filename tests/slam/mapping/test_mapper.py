@@ -155,7 +155,7 @@ def test_points_that_are_seldom_found_die(mapper: Mapper) -> None:
     slam_map, table = mapper.map, mapper.map.points
     mapper._probation = np.arange(4)
     table.born[:4] = [5, 5, 3, 5]
-    table.visible[:4], table.found[:4] = 20, [4, 5, 20, 20]
+    table.visible_counts[:4], table.found_counts[:4] = 20, [4, 5, 20, 20]
     for point in (2, 3):  # seen by two keyframes: too few once the trial is over
         _, keyframes, features = slam_map.observations(np.array([point]))
         slam_map.unobserve(keyframes[:4], features[:4])
@@ -190,8 +190,8 @@ def test_an_inserted_keyframe_finds_its_pose_and_its_points(
     frame.points[:100] = shown[:100]
     frame.camera_from_world = se3_exp(rng.normal(0.0, 1e-3, 6)) @ true
     keyframe = mapper.insert(frame)
-    mapper.settle(keyframe)
-    frame.synchronise(slam_map)
+    mapper.refine_neighborhood(keyframe)
+    frame.synchronize(slam_map)
     scale = slam_map.pose(5)[0, 3] / POSES[5][0, 3]
     assert scale == pytest.approx(1.0, abs=0.01)
     true[:3, 3] *= scale

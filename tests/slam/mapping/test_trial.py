@@ -57,34 +57,34 @@ def trial(scene: Scene) -> Trial:
 def test_a_map_that_explains_what_follows_stays(rng: np.random.Generator) -> None:
     scene = Scene(rng)
     judge = trial(scene)
-    assert [judge.objection(scene.frame(still=False)) for _ in range(3)] == [""] * 3
+    assert [judge.rejection_reason(scene.frame(still=False)) for _ in range(3)] == [""] * 3
 
 
 def test_a_map_is_dropped_where_a_rotation_explains_what_follows(rng: np.random.Generator) -> None:
     scene = Scene(rng)
-    assert "of what a rotation leaves of the matches" in trial(scene).objection(scene.frame(still=True))
+    assert "of what a rotation leaves of the matches" in trial(scene).rejection_reason(scene.frame(still=True))
 
 
 def test_what_a_map_explained_before_speaks_for_it(rng: np.random.Generator) -> None:
     scene = Scene(rng)
     judge = trial(scene)
     for _ in range(8):
-        assert not judge.objection(scene.frame(still=False))
-    assert not judge.objection(scene.frame(still=True))
+        assert not judge.rejection_reason(scene.frame(still=False))
+    assert not judge.rejection_reason(scene.frame(still=True))
 
 
 @pytest.mark.parametrize("matches", [99, 100])
 def test_with_fewer_matches_than_a_start_takes_the_trial_ends(rng: np.random.Generator, matches: int) -> None:
     scene = Scene(rng)
     judge = trial(scene)
-    assert bool(judge.objection(scene.frame(True, matches))) == (matches == thresholds.INIT_MIN_MATCHES)
-    assert bool(judge.objection(scene.frame(True))) == (matches == thresholds.INIT_MIN_MATCHES)
+    assert bool(judge.rejection_reason(scene.frame(True, matches))) == (matches == thresholds.INIT_MIN_MATCHES)
+    assert bool(judge.rejection_reason(scene.frame(True))) == (matches == thresholds.INIT_MIN_MATCHES)
 
 
 def test_a_trial_ends_after_so_many_frames(rng: np.random.Generator) -> None:
     scene = Scene(rng)
     judge = trial(scene)
     for _ in range(thresholds.TRIAL_FRAMES):
-        judge.objection(scene.frame(still=False))
+        judge.rejection_reason(scene.frame(still=False))
     for _ in range(30):
-        assert not judge.objection(scene.frame(still=True))
+        assert not judge.rejection_reason(scene.frame(still=True))

@@ -9,7 +9,7 @@ import pytest
 from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.geometry.camera import Camera
 from codecbench.slam.options import Options
-from codecbench.slam.places.keyframe_database import KeyframeDatabase
+from codecbench.slam.places.recognition import KeyframeDatabase
 from codecbench.slam.places.vocabulary import BowVector, Vocabulary
 
 pytestmark = pytest.mark.thorough

@@ -11,7 +11,7 @@ from codecbench.slam import system as module
 from codecbench.slam.features.extractor import Features
 from codecbench.slam.options import Options
 from codecbench.slam.thresholds import LOCAL_MIN_INLIERS, RELOCALIZED_MIN_INLIERS
-from codecbench.slam.tracking.localizer import Localizer
+from codecbench.slam.tracking.relocalization import Localizer
 
 pytestmark = pytest.mark.thorough
 

@@ -56,7 +56,7 @@ def test_a_lost_camera_is_found_exactly_wherever_it_is(
     frame = surroundings.frame(pose)
     inliers = surroundings.find(frame)
     assert inliers >= RELOCALIZED_MIN_INLIERS
-    assert inliers == len(frame.matched)
+    assert inliers == len(frame.matched_features)
     assert np.abs(frame.camera_from_world - pose).max() < 1e-7
     assert frame.reference in keyframes
     assert surroundings.tracker.last is frame

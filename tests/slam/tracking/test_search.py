@@ -13,8 +13,8 @@ from codecbench.slam.features.extractor import Features
 from codecbench.slam.features.matching import keep_consistent_rotations, match_in_windows
 from codecbench.slam.map.map import NONE, Map
 from codecbench.slam.map.projection import project_map_points
-from codecbench.slam.optimisation.pose_optimization import optimize_pose
-from codecbench.slam.tracking.search import Lens, columns_of, optimize_shown, search_last, search_local
+from codecbench.slam.optimization.pose_optimization import optimize_pose
+from codecbench.slam.tracking.search import Lens, columns_of, optimize_matched_pose, search_last_frame, search_local_map
 
 pytestmark = pytest.mark.thorough
 
@@ -82,7 +82,7 @@ def test_points_of_the_last_frame(
     expected[matches[matches >= 0]] = last_points[seen[matches >= 0]]
 
     shown = np.full(len(features), NONE, np.int64)
-    found = search_last(
+    found = search_last_frame(
         last_points, last_octaves, last_angles, window_px, columns_of(slam_map.points), lens(slam_map), POSE,
         features.view, features.angles, shown,
     )  # fmt: skip
@@ -94,7 +94,7 @@ def test_the_local_map_and_what_is_counted_as_visible(
     slam_map: Map, features: Features, rng: np.random.Generator
 ) -> None:
     shown = some_shown(slam_map, len(features), rng)
-    local, before = slam_map.alive_points, slam_map.points.visible.copy()
+    local, before = slam_map.alive_points, slam_map.points.visible_counts.copy()
     unseen = np.setdiff1d(local, shown)
     found = project_map_points(slam_map, unseen, POSE, CAMERA, thresholds.VIEWING_COSINE)
     frontal = found.cosines > thresholds.FRONTAL_COSINE
@@ -108,11 +108,11 @@ def test_the_local_map_and_what_is_counted_as_visible(
     visible = before.copy()
     visible[np.union1d(found.points, shown[shown >= 0])] += 1
 
-    count = search_local(
+    count = search_local_map(
         local, columns_of(slam_map.points), slam_map.points.count, lens(slam_map), POSE, features.view, shown
     )
     assert np.array_equal(shown, expected)
-    assert np.array_equal(slam_map.points.visible, visible)
+    assert np.array_equal(slam_map.points.visible_counts, visible)
     assert count == (matches >= 0).sum() > 20
 
 
@@ -134,8 +134,8 @@ def test_the_pose_and_which_points_stay(slam_map: Map, features: Features, rng: 
 
     pose = start.copy()
     arguments = slam_map.points.positions, features.pixels, features.octaves, inverse_sigma2, CAMERA.intrinsics
-    assert optimize_shown(pose, shown, *arguments) == inliers.sum() < len(matched)
+    assert optimize_matched_pose(pose, shown, *arguments) == inliers.sum() < len(matched)
     assert np.array_equal(pose, expected)
     assert np.array_equal(shown, kept)
-    assert optimize_shown(pose, np.array([NONE, 1, 2, 3]), *arguments) == 0
+    assert optimize_matched_pose(pose, np.array([NONE, 1, 2, 3]), *arguments) == 0
     assert np.array_equal(pose, expected)

@@ -30,7 +30,7 @@ def tracked(count: int) -> tuple[TrackedPose, Map]:
 def test_a_frame_is_fitted_anew_to_the_points_where_they_are_now() -> None:
     pose, slam_map = tracked(200)
     before = np.abs(pose.resolve(slam_map) - np.linalg.inv(BETWEEN)).max()
-    refined = pose.refined(slam_map, CAMERA)
+    refined = pose.refine(slam_map, CAMERA)
     after = np.abs(refined.resolve(slam_map) - np.linalg.inv(BETWEEN)).max()
     assert before > 0.01
     assert after < 1e-6  # pixels are kept as float32
@@ -40,7 +40,7 @@ def test_a_frame_is_fitted_anew_to_the_points_where_they_are_now() -> None:
 def test_a_frame_with_too_few_points_left_stays() -> None:
     pose, slam_map = tracked(200)
     slam_map.remove_points(pose.points[10:].astype(np.int64))
-    assert pose.refined(slam_map, CAMERA) is pose
+    assert pose.refine(slam_map, CAMERA) is pose
 
 
 def test_a_frame_follows_its_map_into_another_one() -> None:
@@ -50,11 +50,11 @@ def test_a_frame_follows_its_map_into_another_one() -> None:
     moved = np.asarray(sim3_exp(np.array([0.4, -1.0, 2.0, 0.5, -0.3, 0.2, np.log(1.7)])))
     slam_map.transform(moved)
     numbers, first_point = other.append(slam_map, np.array([2, 1, 3, 0]))
-    there = pose.moved(numbers, first_point, moved)
+    there = pose.move_to_map(numbers, first_point, moved)
     expected = moved @ camera
     expected[:3, :3] /= 1.7
     assert np.allclose(there.resolve(other), expected)
     assert np.allclose(there.world_from_camera[:3, 3], (moved @ pose.world_from_camera)[:3, 3])
     assert np.allclose(np.linalg.det(there.world_from_camera[:3, :3]), 1.0)
-    refined = there.refined(other, CAMERA)  # over the points that it saw, as they are called now
+    refined = there.refine(other, CAMERA)  # over the points that it saw, as they are called now
     assert np.abs(refined.resolve(other)[:3, 3] - (moved @ np.linalg.inv(BETWEEN))[:3, 3]).max() < 1e-5

@@ -64,7 +64,7 @@ def test_pose_and_points_are_exact_without_noise(scene: Scene) -> None:
     assert np.abs(frame.camera_from_world - next_pose(0.3)).max() < 1e-8
     assert (frame.points[known] == shown[known]).mean() > 0.95
     assert (frame.points[~known] == NONE).all()
-    assert inliers == len(frame.matched)
+    assert inliers == len(frame.matched_features)
     assert tracker.last is frame
     assert frame.reference in (3, 4)  # both show nearly all that it shows
 
@@ -100,7 +100,7 @@ def test_a_picture_shown_again_says_nothing_of_the_motion(scene: Scene) -> None:
     for step in (1, 3, 5):
         moved, again = scene.frame(next_pose(step), step)[0], scene.frame(next_pose(step), step + 1.0)[0]
         assert tracker.track(moved) > 100
-        assert tracker.track(again) == len(moved.matched)
+        assert tracker.track(again) == len(moved.matched_features)
         assert tracker.last is moved
         assert np.array_equal(again.camera_from_world, moved.camera_from_world)
         assert np.array_equal(again.points, moved.points)
@@ -119,7 +119,7 @@ def test_a_leap_is_bridged_by_appearance(scene: Scene) -> None:
     frame, shown = scene.frame(leap, 0.1)
     assert scene.tracker().track(frame) >= 30
     assert np.abs(frame.camera_from_world - leap).max() < 1e-7
-    matched = frame.matched
+    matched = frame.matched_features
     assert np.array_equal(frame.points[matched], shown[matched])
 
 
@@ -146,7 +146,7 @@ def test_an_unknown_view_is_lost_and_changes_nothing(scene: Scene) -> None:
 
 def test_points_count_the_frames_that_should_and_do_show_them(scene: Scene) -> None:
     table = scene.map.points
-    visible, found = table.visible.copy(), table.found.copy()
+    visible, found = table.visible_counts.copy(), table.found_counts.copy()
     frame, _ = scene.frame(next_pose(0.3), 0.1)
     hidden = np.arange(0, len(frame.features), 3)
     descriptors = frame.features.descriptors.copy()
@@ -154,19 +154,19 @@ def test_points_count_the_frames_that_should_and_do_show_them(scene: Scene) -> N
     tracker = scene.tracker()
     tracker.track(TrackingFrame.of(1, 0.1, features_at(frame.features.pixels, descriptors)))
     assert tracker.last is not None
-    shown = tracker.last.points[tracker.last.matched]
-    assert (table.found - found)[shown].tolist() == [1] * len(shown)
-    assert (table.found - found).sum() == len(shown)
-    assert ((table.visible - visible) >= (table.found - found)).all()
-    assert (table.visible - visible).max() == 1
-    assert (table.visible - visible).sum() > 1.2 * len(shown)
+    shown = tracker.last.points[tracker.last.matched_features]
+    assert (table.found_counts - found)[shown].tolist() == [1] * len(shown)
+    assert (table.found_counts - found).sum() == len(shown)
+    assert ((table.visible_counts - visible) >= (table.found_counts - found)).all()
+    assert (table.visible_counts - visible).max() == 1
+    assert (table.visible_counts - visible).sum() > 1.2 * len(shown)
 
 
 def test_points_that_were_merged_are_followed(scene: Scene) -> None:
     tracker = scene.tracker()
     assert tracker.last is not None
     frame, shown = scene.frame(next_pose(0.3), 0.1)
-    old = np.intersect1d(tracker.last.points[tracker.last.matched], shown)[0]
+    old = np.intersect1d(tracker.last.points[tracker.last.matched_features], shown)[0]
     new = scene.map.points.add(scene.map.points.positions[old][None], 4, 5)
     scene.map.replace_points(np.array([old]), new)
     scene.map.refresh_points(new)

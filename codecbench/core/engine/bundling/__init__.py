@@ -1,1 +1,1 @@
-"""A run in one file, to be kept, cited and opened by strangers."""
+"""Bundles: a run in a single file, to archive, cite and share."""

@@ -1,11 +1,12 @@
-"""Reading the container of a bundle, which a stranger may have made: everything is checked before a file is written.
+"""The file format of a bundle: a zip file with a manifest, checked completely before a file is written.
 
-A zip file, of those that the standard library knows, because it says at its end what is in it: names, sizes and kinds
-of all files can be refused before a byte is unpacked, which a tar file tells only on the way.
+A stranger may have made it. A zip file's directory gives names, sizes and kinds of all files, so they can be refused
+before a byte is unpacked; a tar file gives them only on the way.
 """
 
 from __future__ import annotations
 
+import re
 import stat
 import struct
 import zipfile
@@ -14,28 +15,83 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Annotated, BinaryIO, Final, Literal
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from codecbench.core.contracts.errors import StoreError
-from codecbench.core.engine.bundling.manifest import (
-    LARGEST_FILE,
-    MANIFEST,
-    MOST_FILES,
-    FileName,
-    Manifest,
-    largest_bytes,
-)
 from codecbench.core.engine.identity import json_from_bytes
 from codecbench.core.engine.text import clean_line
 
-_NAME: Final = TypeAdapter(FileName)
+FORMAT: Final = 1
+MANIFEST: Final = "manifest.json"
+
+MOST_FILES: Final = 400_000
+"""A plan has at most 100,000 cells, and a cell has a record, its samples and one or two more files."""
+LARGEST_FILE: Final = 512_000_000
+"""Maximum bytes of a file that is read whole: records, samples, artifacts, the plan, the manifest."""
+LARGEST_BITSTREAMS: Final = 32_000_000_000
+"""Maximum bytes of the bitstreams of one sequence, which are read frame by frame."""
+
+_LONGEST_NAME: Final = 200
+_ID: Final = "[0-9a-f]{32}"
+_NAME_PATTERN: Final = re.compile(
+    rf"matrix\.yaml|plan\.json|environment/[0-9a-f]{{8,64}}\.json|coded/{_ID}\.(bits|code)"
+    r"|records/([0-9a-f]{2})/\2[0-9a-f]{30}/[^./\\][^/\\]*"
+)
+"""The files of a run folder that a bundle may contain; a name of another form is refused, not corrected."""
+
+
+def largest_bytes(name: str) -> int:
+    """Return the maximum size of a file with this name."""
+    return LARGEST_BITSTREAMS if name.endswith(".bits") and name.startswith("coded/") else LARGEST_FILE
+
+
+def _check_name(name: str) -> str:
+    if not (_NAME_PATTERN.fullmatch(name) and name.isprintable() and len(name.encode()) <= _LONGEST_NAME):
+        raise ValueError(f"{clean_line(name)!r} is no name of a file of a run")
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_check_name)]
+"""Path inside a run folder, with `/`, of a file that a bundle may contain. Raises ValueError for any other."""
+
+_Line = Annotated[str, AfterValidator(clean_line)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="ignore")
+
+
+class FileFacts(_Part):
+    """Size in bytes and SHA-256 of a file."""
+
+    size: int = Field(ge=0)
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class Manifest(_Part):
+    """What a bundle contains."""
+
+    format: Literal[1] = FORMAT
+    codecbench: _Line
+    """The version that wrote it."""
+    name: _Line
+    cells: int = Field(ge=0)
+    """Number of cells in the plan."""
+    statuses: dict[_Line, int]
+    """Number of cells by status; cells without a record are not counted."""
+    bitstreams: bool
+    """Whether the codecs' output is included."""
+    files: dict[FileName, FileFacts]
+
+
+_FILE_NAME: Final = TypeAdapter(FileName)
 _METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED: Final = 0x1
 
 _MOST_RATIO: Final = 100
-"""Unpacked bytes for each byte of the file; ours stay below 10."""
+"""Maximum ratio of unpacked to packed bytes; bundles of codecbench stay below 10."""
 _SLACK: Final = 64_000_000
 """Bytes that may be unpacked whatever the ratio: a small run compresses well."""
 
@@ -47,27 +103,27 @@ _ENTRY_MAGIC: Final = b"PK\x01\x02"
 _DAMAGE: Final = (
     zipfile.BadZipFile, zlib.error, EOFError, ValueError, KeyError, RuntimeError, struct.error, OverflowError,
 )  # fmt: skip
-"""What reading a zip file raises where it is not sound; RuntimeError also for a method of packing that it lacks."""
+"""What reading a damaged zip file raises; RuntimeError also for an unsupported compression method."""
 
 
 @dataclass(frozen=True)
 class OpenBundle:
-    """A bundle whose every name, size and kind of file is in order; the files' content is yet to be checked."""
+    """A bundle whose names, sizes and kinds of files are valid; the files' content is not checked yet."""
 
     manifest: Manifest
     archive: zipfile.ZipFile
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[OpenBundle]:
-    """The bundle in a file. Raises StoreError where it is none, or is refused, or its content proves to be damaged."""
+def open_bundle(path: Path) -> Iterator[OpenBundle]:
+    """Open a bundle. Raises StoreError if it is none, is refused, or proves to be damaged in the block."""
     if not path.is_file():
         raise StoreError(f"{path} is not a bundle: there is no such file")
     try:
         with open(path, "rb") as stream:
             _require_small_directory(stream, path.stat().st_size)
             with zipfile.ZipFile(stream) as archive:
-                members = _checked_members(archive.infolist(), path.stat().st_size)
+                members = _check_members(archive.infolist(), path.stat().st_size)
                 yield OpenBundle(_manifest(archive, members), archive)
     except _DAMAGE as error:
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error) or type(error).__name__
@@ -76,7 +132,7 @@ def opened(path: Path) -> Iterator[OpenBundle]:
 
 
 def _require_small_directory(stream: BinaryIO, size: int) -> None:
-    """Raise ValueError where the list of members at the end of the file would be large to read."""
+    """Raise ValueError if the list of files is too large to be read."""
     stream.seek(max(0, size - _END.size))
     end = stream.read(_END.size)
     if len(end) < _END.size or not end.startswith(b"PK\x05\x06") or _END.unpack(end)[-1]:
@@ -98,13 +154,13 @@ def _require_small_directory(stream: BinaryIO, size: int) -> None:
     stream.seek(0)
 
 
-def _checked_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[str, zipfile.ZipInfo]:
-    """The members by name. Raises ValueError for one that is not a plain file of a run, or is too large."""
+def _check_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[str, zipfile.ZipInfo]:
+    """Return the members by name. Raises ValueError for one that is not a plain file of a run, or is too large."""
     members: dict[str, zipfile.ZipInfo] = {}
     for info in infos:
         name = info.orig_filename
         if name != MANIFEST:
-            _NAME.validate_python(name)
+            _FILE_NAME.validate_python(name)
         if name in members:
             raise ValueError(f"it holds two files {name!r}")
         if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG) or info.is_dir():
@@ -115,14 +171,14 @@ def _checked_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[st
             raise ValueError(f"{name!r} has {info.file_size:,} bytes; at most {largest_bytes(name):,} are taken")
         members[name] = info
     _require_apart(infos)
-    unpacked, most = sum(info.file_size for info in infos), _SLACK + _MOST_RATIO * packed_bytes
-    if unpacked > most:
-        raise ValueError(f"{packed_bytes:,} bytes of it would unpack to {unpacked:,}; at most {most:,} are taken")
+    unpacked, limit = sum(info.file_size for info in infos), _SLACK + _MOST_RATIO * packed_bytes
+    if unpacked > limit:
+        raise ValueError(f"{packed_bytes:,} bytes of it would unpack to {unpacked:,}; at most {limit:,} are taken")
     return members
 
 
 def _require_apart(infos: list[zipfile.ZipInfo]) -> None:
-    """Raise ValueError where two members share bytes: that is how a small file unpacks to a very large one."""
+    """Raise ValueError if two members share bytes, as in a zip bomb."""
     end = 0
     for info in sorted(infos, key=lambda info: info.header_offset):
         if info.header_offset < end:
@@ -131,16 +187,17 @@ def _require_apart(infos: list[zipfile.ZipInfo]) -> None:
 
 
 def _manifest(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> Manifest:
+    """Return the manifest. Raises ValueError if it does not match the members."""
     if MANIFEST not in members:
         raise ValueError(f"it has no {MANIFEST}")
     with archive.open(MANIFEST) as stream:
         manifest = Manifest.model_validate(json_from_bytes(stream.read(LARGEST_FILE)))
-    named = {name: facts.size for name, facts in manifest.files.items()}
-    found = {name: info.file_size for name, info in members.items() if name != MANIFEST}
-    if named != found:
-        wrong = sorted(name for name in named.keys() | found.keys() if named.get(name) != found.get(name))
+    listed = {name: facts.size for name, facts in manifest.files.items()}
+    actual = {name: info.file_size for name, info in members.items() if name != MANIFEST}
+    if listed != actual:
+        wrong = sorted(name for name in listed.keys() | actual.keys() if listed.get(name) != actual.get(name))
         raise ValueError(f"{wrong[0]!r} is not as {MANIFEST} says, and {len(wrong) - 1} more")
     for name in ("plan.json", "matrix.yaml"):
-        if name not in named:
+        if name not in listed:
             raise ValueError(f"it has no {name}")
     return manifest

@@ -1,7 +1,7 @@
-"""A conversation between two processes: each asks the other for methods of objects that stay where they are.
+"""A conversation between two processes: each calls methods of objects that stay in the other one.
 
-A line of JSON each, and memory that both see for what is large (`wire`). Only one side works at a time: the other waits
-for its answer, and meanwhile does what it is asked itself: a host that evaluates asks for frames.
+Messages are lines of JSON; large data goes through shared memory (`wire`). Only one side works at a time: the other
+waits for its answer and meanwhile serves calls itself, as when a host that evaluates asks for frames.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from codecbench.core.engine.text import describe_error
 
 _REMOTE: Final = "codecbench.core.engine.hosting.remote"
 _MOST_BYTES: Final = 64 << 20
-"""Of a line."""
+"""Maximum size of a line."""
 _MOST_CALLS: Final = 20
-"""That wait for each other."""
+"""Maximum number of nested calls."""
 _MARGIN_S: Final = 5
-"""A host whose asker is gone, so that nobody ends it, ends itself so long after its time."""
+"""A host whose caller has died ends itself this long after its time limit."""
 _SEALS: Final = getattr(fcntl, "F_SEAL_SHRINK", 0) | getattr(fcntl, "F_SEAL_SEAL", 0)
-"""Of memory: who reads what is gone dies of SIGBUS, and nobody else is to seal it against growing."""
+"""Seals of shared memory: shrinking it would kill its reader by SIGBUS, and no other seals may be added."""
 _LONGEST_TEXT: Final = 4000
 LONGEST_TRACE: Final = 20_000
 CRASH_FILE: Final = "crash"
-"""In the folder of a host: where it was when a signal ended it."""
+"""File in a host's folder with its stack trace if a signal ended it."""
 
 METHODS: Final[dict[str, dict[str, str]]] = {
     "evaluator": {"marks": ""},
@@ -62,7 +62,10 @@ METHODS: Final[dict[str, dict[str, str]]] = {
     "position": {"at": ""},
     "plugins": {"create": "created"},
 }  # fmt: skip
-"""What may be asked of an object of each kind, and of which kind the object is that comes back; empty for a value."""
+"""Methods that may be called on each kind of object, with the kind of object that they return.
+
+An empty kind stands for a plain value.
+"""
 
 FACTS: Final[dict[str, tuple[str, ...]]] = {
     "codec": ("name", "version", "capabilities", "carries", "stateless"),
@@ -72,41 +75,41 @@ FACTS: Final[dict[str, tuple[str, ...]]] = {
     "slam_backend": ("name", "architectures"),
     "link": ("name", "delay_s", "keeps_order", "queue"),
 }  # fmt: skip
-"""Attributes that are told with an object."""
+"""Attributes that are sent along with an object."""
 
 
 class PluginFault(errors.PluginError):
-    """A plugin of another distribution raises, exits or breaks the contract; it costs what was asked of it."""
+    """Raised if a hosted plugin raises, exits or violates its contract; costs only what was asked of it."""
 
 
 class PluginLoss(PluginFault):
-    """Its process ended, or had to be ended."""
+    """Raised if a plugin's process ended or had to be ended."""
 
 
 class PluginTimeout(PluginLoss):
-    """It did not answer in time."""
+    """Raised if a plugin did not answer in time."""
 
 
 class PluginNonsense(PluginFault):
-    """It answered what nobody of ours writes, so that nothing after it can be understood."""
+    """Raised for an answer that codecbench never writes, after which nothing can be understood."""
 
 
 class Exposed:
-    """An object that the other side is to get a reference to."""
+    """An object that the other side gets a reference to."""
 
     def __init__(self, kind: str, value: Any, **facts: Any) -> None:
         self.kind, self.value, self.facts = kind, value, facts
 
 
 class SharedMemory:
-    """Memory behind a descriptor, which one side writes and both see. It grows, and cannot be made smaller."""
+    """Memory behind a descriptor, written by one side and seen by both. It can grow but not shrink."""
 
     def __init__(self, descriptor: int | None = None) -> None:
         self.descriptor = _new_memory() if descriptor is None else descriptor
         self._map: mmap.mmap | None = None
 
     def write(self, parts: Payload) -> int:
-        """Write these after each other, from the beginning; how many bytes that are."""
+        """Write the parts one after another from the beginning; return their total size in bytes."""
         size = sum(map(len, parts))
         view = self.view(size)
         at = 0
@@ -116,7 +119,7 @@ class SharedMemory:
         return size
 
     def view(self, size: int, *, grows: bool = True) -> memoryview:
-        """Its first bytes. Raises WireError where the other side has written less."""
+        """Return the first bytes. Raises WireError if the other side has written less."""
         if self._map is None or len(self._map) < size:
             length = os.fstat(self.descriptor).st_size
             if length < size:
@@ -144,12 +147,12 @@ def _new_memory() -> int:
 
 
 class Channel:
-    """One end of a conversation. Who asks may hand over functions and iterators too.
+    """One end of a conversation. The calling side may also pass functions and iterators.
 
-    reads, writes: descriptors of pipes. sends, receives: memory. wait: is called with `select.POLLIN` or `POLLOUT`
-    before each read and write, and raises where nothing will come or be taken. obeys: the other end may have functions
-    of codecbench called here, which only who has started this process may. limit_s: how long the other end may take for
-    a call; it ends itself when that is long over. depth: how many calls of this side wait for an answer.
+    reads, writes: descriptors of pipes. sends, receives: shared memory. wait: called with `select.POLLIN` or `POLLOUT`
+    before each read and write; raises if the other end is gone. obeys: the other end may call any function of
+    codecbench here, which only the process that started this one may. limit_s: time limit of a call at the other end,
+    which ends itself long after. depth: number of calls of this side that wait for an answer.
     """
 
     def __init__(
@@ -171,21 +174,21 @@ class Channel:
         self._mine: list[Exposed | None] = []
         self._theirs: WeakValueDictionary[int, Any] = WeakValueDictionary()
         self.dropped: list[int] = []
-        """Numbers of objects of the other side that nobody here knows any more, which it is told with the next call."""
+        """Numbers of remote objects that this side no longer references; sent with the next call."""
         self._raised: list[BaseException] = []
-        """Errors that the other side was told while it works on a call, and may pass on."""
+        """Errors sent to the other side during a call, which it may send back."""
 
     def call(self, target: Any, name: str, *arguments: Any, **words: Any) -> Any:
-        """What a method of an object of the other side returns, or a function of codecbench: `module:name`.
+        """Call a method of a remote object, or a function of codecbench given as `module:name`, and return the result.
 
-        Raises what it raises, if that is an error of codecbench, and PluginFault for anything else.
+        Raises the error that it raises if that is one of codecbench, and PluginFault for anything else.
         """
         self._number += 1
-        number, asked = self._number, {"call": name, "on": target, "with": list(arguments), "words": words}
+        number, request = self._number, {"call": name, "on": target, "with": list(arguments), "words": words}
         dropped, self.dropped = self.dropped, []
-        self._send({"number": number, "limit_s": self.limit_s, "dropped": dropped, **asked})
+        self._send({"number": number, "limit_s": self.limit_s, "dropped": dropped, **request})
         while True:
-            message = self._received()
+            message = self._receive()
             if "call" in message:
                 self._serve(message)
                 continue
@@ -196,17 +199,17 @@ class Channel:
             raise self._error(message, name)
 
     def forget(self) -> None:
-        """Another call begins, and what an earlier one raised comes back no more."""
+        """Start a new call: errors raised by earlier ones can no longer be sent back."""
         self._raised.clear()
 
     def serve_forever(self) -> None:
-        """Do what is asked until nobody asks."""
+        """Serve calls until the other side is gone."""
         with suppress(EOFError):
             while True:
-                self._serve(self._received())
+                self._serve(self._receive())
 
     def _serve(self, message: dict[str, Any]) -> None:
-        number, process = message.get("number"), os.getpid()
+        number, pid = message.get("number"), os.getpid()
         for dropped in {*(message.get("dropped") or ())} & {*range(len(self._mine))}:
             self._mine[dropped] = None
         if self.obeys and message.get("limit_s"):
@@ -215,21 +218,21 @@ class Channel:
         try:
             if self._calls > _MOST_CALLS:
                 raise RecursionError(f"{_MOST_CALLS} calls wait for each other")
-            answer = {"number": number, "value": self._called(message)}
-        except BaseException as error:  # noqa: BLE001 - whatever a stranger's code does becomes the answer
-            answer = {"number": number, **self._told(error)}
+            answer = {"number": number, "value": self._run_call(message)}
+        except BaseException as error:  # noqa: BLE001 - whatever foreign code does becomes the answer
+            answer = {"number": number, **self._error_message(error)}
         finally:
             self._calls -= 1
-            if os.getpid() != process:
-                os._exit(0)  # the call came back twice, and one answer is enough
+            if os.getpid() != pid:
+                os._exit(0)  # a forked copy of this process: one answer is enough
         if self.obeys:
             signal.alarm(0)
         try:
             self._send(answer)
         except (TypeError, ValueError, AttributeError, RecursionError) as error:
-            self._send({"number": number, **self._told(error)})
+            self._send({"number": number, **self._error_message(error)})
 
-    def _called(self, message: dict[str, Any]) -> Any:
+    def _run_call(self, message: dict[str, Any]) -> Any:
         name, target, words = str(message.get("call")), message.get("on"), message.get("words") or {}
         arguments = [part.value if isinstance(part, Exposed) else part for part in message.get("with") or ()]
         module, _, function = name.partition(":")
@@ -244,34 +247,34 @@ class Channel:
         kind = str(arguments[0]) if kind == "created" else kind
         return Exposed(kind, value) if kind in METHODS else value
 
-    def _told(self, error: BaseException) -> dict[str, Any]:
-        """An error as a message. raised: its number here, by which it is known when it comes back as `returned`."""
+    def _error_message(self, error: BaseException) -> dict[str, Any]:
+        """Convert an error to a message. raised: its number here, which the other side returns as `returned`."""
         known = next((kind.__name__ for kind in type(error).__mro__ if kind.__module__ == errors.__name__), "")
         try:
             text = str(error) if known else describe_error(error)
             trace = "".join(traceback.format_exception(error))
-        except Exception as second:  # noqa: BLE001 - of an exception that does more than hold a message
+        except Exception as second:  # noqa: BLE001 - the exception may run foreign code to make its message
             text = trace = describe_error(second)
         if isinstance(error, StopIteration):
             known = "StopIteration"
-        told = {"error": known, "text": text[:_LONGEST_TEXT], "trace": trace[-LONGEST_TRACE:]}
+        answer = {"error": known, "text": text[:_LONGEST_TEXT], "trace": trace[-LONGEST_TRACE:]}
         if self.obeys:
             channel, number = getattr(error, "_raised_by", (None, None))
-            return {**told, "returned": number if channel is self else None}
+            return {**answer, "returned": number if channel is self else None}
         self._raised.append(error)
-        return {**told, "raised": len(self._raised) - 1}
+        return {**answer, "raised": len(self._raised) - 1}
 
     def _error(self, message: dict[str, Any], called: str) -> BaseException:
-        """The error that an answer tells of: our own where it has only passed through the other side."""
+        """Return the error in an answer; if it was one of this side passing through, that very object."""
         returned = message.get("returned")
         if isinstance(returned, int) and 0 <= returned < len(self._raised):
             return self._raised[returned]
         name, text = str(message.get("error") or ""), str(message.get("text", "it answered nonsense"))
-        if name == "StopIteration" and called == "__next__":  # anywhere else it would end a loop of ours
+        if name == "StopIteration" and called == "__next__":  # elsewhere it would silently end a loop here
             return StopIteration()
-        kind: Any = vars(errors).get(name)
-        known = isinstance(kind, type) and issubclass(kind, errors.CodecbenchError)
-        error: Any = kind(text) if known and kind is not errors.PluginError else PluginFault(text)
+        error_class: Any = vars(errors).get(name)
+        is_known = isinstance(error_class, type) and issubclass(error_class, errors.CodecbenchError)
+        error: Any = error_class(text) if is_known and error_class is not errors.PluginError else PluginFault(text)
         error._raised_by = self, message.get("raised")
         if trace := message.get("trace"):
             error.add_note(f"in its host:\n{trace}")
@@ -289,26 +292,26 @@ class Channel:
             exposed = Exposed("function", value)
         if exposed is None:
             return None
-        named = exposed.kind, id(exposed.value)
-        same = (n for n, known in enumerate(self._mine) if known and (known.kind, id(known.value)) == named)
-        if (number := next(same, len(self._mine))) == len(self._mine):
+        key = exposed.kind, id(exposed.value)
+        numbers = (n for n, known in enumerate(self._mine) if known and (known.kind, id(known.value)) == key)
+        if (number := next(numbers, len(self._mine))) == len(self._mine):
             self._mine.append(exposed)
         facts = {name: getattr(exposed.value, name) for name in FACTS.get(exposed.kind, ())} | exposed.facts
         if exposed.kind == "codec":
             facts["params"] = exposed.value.params.model_dump(mode="json")
         return {"object": number, "owner": "sender", "kind": exposed.kind, "facts": facts}
 
-    def resolve(self, named: dict[str, Any]) -> Any:
+    def resolve(self, reference: dict[str, Any]) -> Any:
         """See `wire.Objects`."""
-        number = named["object"]
-        if named.get("owner") == "receiver":
+        number = reference["object"]
+        if reference.get("owner") == "receiver":
             if not (isinstance(number, int) and 0 <= number < len(self._mine) and self._mine[number]):
                 raise WireError("an object that it was not given")
             return self._mine[number]
-        if (found := self._theirs.get(number)) is None:
-            remote = importlib.import_module(_REMOTE).remote  # which loads all contracts
-            found = self._theirs[number] = remote(self, number, named["kind"], named["facts"])
-        return found
+        if (remote_object := self._theirs.get(number)) is None:
+            make_remote = importlib.import_module(_REMOTE).remote  # here, because it loads all contracts
+            remote_object = self._theirs[number] = make_remote(self, number, reference["kind"], reference["facts"])
+        return remote_object
 
     def _send(self, message: dict[str, Any]) -> None:
         payload: Payload = []
@@ -319,8 +322,8 @@ class Channel:
             self._wait(self._writes, select.POLLOUT)
             content = content[os.write(self._writes, content[: select.PIPE_BUF]) :]
 
-    def _received(self) -> dict[str, Any]:
-        """The next message. Raises PluginNonsense, and EOFError where there is no more."""
+    def _receive(self) -> dict[str, Any]:
+        """Return the next message. Raises PluginNonsense, and EOFError if the other side is gone."""
         content = bytearray(self._left)
         while b"\n" not in content[-(1 << 16) :]:
             self._wait(self._reads, select.POLLIN)

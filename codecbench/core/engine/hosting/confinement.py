@@ -1,8 +1,8 @@
-"""Confinement of other distributions' code by Linux namespaces: no network, no data, no privileges.
+"""Confine other distributions' code with Linux namespaces: no network, no data, no privileges.
 
-It is off unless `CODECBENCH_CONFINE` is set, which `codecbench --confine` does. Then the hosts, which import such
-code, see installed packages and their own folder of temporary files, which alone they can write to; see no network
-and no process but their own; and have no capabilities. `supervisor` does that.
+Confinement is off unless `CODECBENCH_CONFINE` is set, as `codecbench --confine` does. Hosts, which import such code,
+then see installed packages and a temporary folder of their own, the only one that they can write to. They see no
+network and no other processes, and have no capabilities. `supervisor` implements it.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.held_folder import HeldFolder
 
 VARIABLE: Final = "CODECBENCH_CONFINE"
-"""The environment variable that asks for confinement: anything but empty or 0."""
+"""Environment variable that requests confinement: any value but empty or 0."""
 
 _SUPERVISOR: Final = os.path.join(os.path.dirname(os.path.abspath(__file__)), "supervisor.py")
 _PATIENCE_S: Final = 20.0
 
 
-def wanted() -> bool:
+def is_confinement_requested() -> bool:
     """Whether code of other distributions is to be confined."""
     return os.environ.get(VARIABLE, "") not in ("", "0")
 
 
 @functools.cache
 def confinement() -> str:
-    """What confines here, in words. Raises CodecbenchError where the system does not allow it."""
+    """Describe the confinement available here. Raises CodecbenchError if the system does not allow it."""
     if sys.platform != "linux":
-        raise _not_possible(f"{platform.system()} has no namespaces, Linux has")
+        raise _confinement_error(f"{platform.system()} has no namespaces, Linux has")
     with HeldFolder("codecbench-trial-") as held:
-        words = supervised("os:getpid", folder=str(held.path), confines=True)
+        command = supervisor_command("os:getpid", folder=str(held.path), confines=True)
         try:
-            tried = subprocess.run(words, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
+            process = subprocess.run(command, capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise _not_possible(str(error)) from error
-    if tried.returncode != 0:
-        said = " ".join(tried.stderr.split()[-40:]) or f"exit status {tried.returncode}"
-        raise _not_possible(f"the system does not let it: {said}")
-    from codecbench.core.engine.hosting.supervisor import USER  # with ctypes, for which `codecbench list` need not wait
+            raise _confinement_error(str(error)) from error
+    if process.returncode != 0:
+        reason = " ".join(process.stderr.split()[-40:]) or f"exit status {process.returncode}"
+        raise _confinement_error(f"the system does not let it: {reason}")
+    from codecbench.core.engine.hosting.supervisor import USER  # loads ctypes, which slows `codecbench list`
 
     return f"namespaces, user {USER}"
 
 
-def supervised(
+def supervisor_command(
     function: str,
     *arguments: Any,
     folder: str,
@@ -59,24 +59,27 @@ def supervised(
     dies: bool = False,
     shows: Iterable[str] = (),
 ) -> list[str]:
-    """The command of a process that calls a function, `module:name`, with arguments of JSON types; it has a supervisor.
+    """Return the command of a supervised process that calls a function `module:name` with arguments of JSON types.
 
-    folder: of its temporary files. confines: it sees the paths in `shows`, read-only, but no other data. descriptors:
+    folder: for its temporary files. confines: it sees the paths in `shows`, read-only, but no other data. descriptors:
     its own, which its supervisor closes. dies: it ends with the thread that starts it.
     """
     shown = [*map(str, shows), *_code_elsewhere()] if confines else None
     paths = [os.path.abspath(path) for path in sys.path]
-    told = json.dumps([paths, dies, shown, descriptors, folder, function, arguments])
-    return [sys.executable, "-P", _SUPERVISOR, told]
+    request = json.dumps([paths, dies, shown, descriptors, folder, function, arguments])
+    return [sys.executable, "-P", _SUPERVISOR, request]
 
 
-def paths_named(arguments: Sequence[Any]) -> set[str]:
-    """Paths that a question about a dataset names: in its parameters, from the folder told after them, or alone."""
-    given = next((place for place, each in enumerate(arguments) if isinstance(each, dict)), None)
-    if given is None:
-        return {each for each in arguments if isinstance(each, str) and os.path.isabs(each)}
-    folder = str(next((each for each in arguments[given + 1 :] if isinstance(each, str)), ""))
-    texts = (os.path.expanduser(os.path.expandvars(text)) for text in _texts(arguments[given]))
+def paths_in(arguments: Sequence[Any]) -> set[str]:
+    """Return the paths in a question about a dataset.
+
+    They are in its parameters, relative to the folder that follows, or arguments of their own.
+    """
+    index = next((place for place, argument in enumerate(arguments) if isinstance(argument, dict)), None)
+    if index is None:
+        return {argument for argument in arguments if isinstance(argument, str) and os.path.isabs(argument)}
+    folder = str(next((argument for argument in arguments[index + 1 :] if isinstance(argument, str)), ""))
+    texts = (os.path.expanduser(os.path.expandvars(text)) for text in _texts(arguments[index]))
     paths = {os.path.join(folder, text) for text in texts if text and "\0" not in text}
     return {path for path in paths if os.path.isabs(path) and os.path.exists(path)}
 
@@ -84,21 +87,21 @@ def paths_named(arguments: Sequence[Any]) -> set[str]:
 def _texts(value: Any) -> Iterable[str]:
     if isinstance(value, str | os.PathLike):
         yield os.fspath(value)
-    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ():
-        yield from _texts(each)
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ():
+        yield from _texts(part)
 
 
 def _code_elsewhere() -> Iterable[str]:
-    """What hosts run that is not on `sys.path`: compiled kernels, and packages installed in place by a finder."""
-    from codecbench.core.kernels.folders import kernel_folder, precompiled_folders
+    """Yield code that hosts run from outside `sys.path`: compiled kernels, and editable packages."""
+    from codecbench.core.kernels.folders import kernel_folder, precompiled_folders  # unused unless hosts are confined
 
     yield from (str(folder) for folder in (kernel_folder(), *precompiled_folders()) if folder is not None)
     finders = [module for name, module in sys.modules.items() if name.startswith("__editable__")]
     yield from (str(path) for finder in finders for path in getattr(finder, "MAPPING", {}).values())
 
 
-def _not_possible(reason: str) -> CodecbenchError:
-    """The error, of the kind that is the machine's and not the user's."""
+def _confinement_error(reason: str) -> CodecbenchError:
+    """Return an error whose cause is the machine and not the user."""
     error = CodecbenchError(
         f"plugins cannot be confined on {platform.node()}: {reason}; confinement needs Linux 5.12 and user namespaces "
         "(sysctl user.max_user_namespaces above 0; where they exist, kernel.unprivileged_userns_clone=1 and "

@@ -1,9 +1,9 @@
-"""A host: a process in which the plugins of one distribution are imported, constructed and asked, in one role.
+"""A host: a process in which the plugins of one distribution are imported, constructed and called, in one role.
 
-Plugins of other distributions than codecbench's run in hosts and nowhere else. What comes back is JSON and bytes, so
-that no answer can make this process import or call anything. A host that exits, is killed, hangs or answers nonsense
-costs what it was asked. Its roles keep apart what must not know of each other: who decodes never saw what was encoded.
-A host has a parent, its supervisor, because a plugin may end its parent; what it started ends with it.
+Plugins of other distributions than codecbench's run only in hosts. Answers are JSON and bytes, so that no answer can
+make this process import or call anything. If a host exits, is killed, hangs or answers nonsense, only the current
+question is lost. Roles separate what must not share knowledge: the decoder never saw what was encoded. Each host has a
+parent, its supervisor, because a plugin may kill its parent; everything a host started ends with it.
 """
 
 from __future__ import annotations
@@ -30,42 +30,42 @@ from codecbench.core.engine.hosting.channel import (
     PluginTimeout,
     SharedMemory,
 )
-from codecbench.core.engine.hosting.confinement import confinement, supervised, wanted
-from codecbench.core.engine.text import ended
+from codecbench.core.engine.hosting.confinement import confinement, is_confinement_requested, supervisor_command
+from codecbench.core.engine.text import describe_exit
 
 __all__ = ["Host", "PluginFault", "PluginLoss", "PluginTimeout"]
 
 Role = Literal["describe", "read", "encode", "decode", "evaluate"]
 
 LIMIT_VARIABLE: Final = "CODECBENCH_PLUGIN_TIMEOUT_S"
-"""The environment variable that says how long a plugin may take to be imported, constructed or described."""
+"""Environment variable with the time limit for importing, constructing or describing a plugin, in seconds."""
 
 HOSTED_VARIABLE: Final = "CODECBENCH_HOSTED"
-"""Set in hosts, so that a plugin which calls codecbench when it is imported is not imported again and again."""
+"""Set in hosts, so that a plugin that calls codecbench at import does not import itself recursively."""
 
 FOLDER_PREFIX: Final = "codecbench-host-"
-"""How the names of folders begin in which plugins of others are asked."""
+"""Prefix of the names of hosts' temporary folders."""
 
 _SERVE: Final = "codecbench.core.engine.plugins.serving:serve"
 _LIMIT_S: Final = 60.0
 _POLL_MS: Final = 100
 _PATIENCE_S: Final = 1.0
 _MOST_LATE: Final = 1000
-"""So often is something read of an answer that is late."""
+"""Maximum number of reads of a late answer."""
 
 
 def limit_s() -> float:
-    """How long a host may take for one description, in seconds."""
+    """Return the time limit of a host for one description, in seconds."""
     with suppress(ValueError):
         return max(0.1, float(os.environ.get(LIMIT_VARIABLE, _LIMIT_S)))
     return _LIMIT_S
 
 
 class Host:
-    """The process of one distribution, by its name with its version, in one role; started by the first question.
+    """The process of one distribution, given with its version, in one role; the first question starts it.
 
-    limit_s: how long an answer may take, None where whoever asks is watched itself. prints: what its plugins print goes
-    where this process prints, and not nowhere, if it is not confined.
+    limit_s: time limit of an answer; None if the caller is watched itself. prints: the plugins' output goes to this
+    process's output instead of nowhere, unless the host is confined.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Host:
         self.distribution, self.role, self._limit_s, self._prints = distribution, role, limit_s, prints
         self._process: subprocess.Popen[bytes] | None = None
         self._end: Callable[[], Any] = lambda: None
-        self._channel: _Asking | None = None
+        self._channel: _HostChannel | None = None
         self._lock = threading.Lock()
         self._deadline: float | None = None
         self._late = 0
@@ -95,18 +95,18 @@ class Host:
         """Start the process without waiting for it."""
         if self._process is not None:
             return
-        held = HeldFolder(FOLDER_PREFIX)
-        self._folder = held.path
-        folder = str(held.path)
-        if confines := wanted():
+        folder_lock = HeldFolder(FOLDER_PREFIX)
+        self._folder = folder_lock.path
+        folder = str(folder_lock.path)
+        if confines := is_confinement_requested():
             confinement()
-        taken, writes = os.pipe()
-        reads, given = os.pipe()
+        host_reads, writes = os.pipe()
+        reads, host_writes = os.pipe()
         sends, receives = SharedMemory(), SharedMemory()
-        descriptors = (taken, given, receives.descriptor, sends.descriptor)
-        printed = None if self._prints and not confines else subprocess.DEVNULL
+        descriptors = (host_reads, host_writes, receives.descriptor, sends.descriptor)
+        output = None if self._prints and not confines else subprocess.DEVNULL
         self._process = subprocess.Popen(
-            supervised(
+            supervisor_command(
                 _SERVE,
                 descriptors,
                 self.distribution,
@@ -118,33 +118,32 @@ class Host:
                 shows=self._shows,
             ),
             stdin=subprocess.DEVNULL,
-            stdout=printed,
-            stderr=printed,
+            stdout=output,
+            stderr=output,
             pass_fds=descriptors,
             cwd=folder,
             env={**os.environ, **cache_variable(), "TMPDIR": folder, HOSTED_VARIABLE: "1"},
             start_new_session=True,
         )
-        os.close(taken)
-        os.close(given)
+        os.close(host_reads)
+        os.close(host_writes)
         left_running.add(self._process.pid)
-        self._channel = _Asking(self, reads, writes, sends, receives)
-        self._end = weakref.finalize(self, _end, self._process, (reads, writes), (sends, receives), held)
+        self._channel = _HostChannel(self, reads, writes, sends, receives)
+        self._end = weakref.finalize(self, _end, self._process, (reads, writes), (sends, receives), folder_lock)
 
     def ask(
         self, function: Callable[..., Any] | str, *arguments: Any, times: float = 1, shows: Collection[str] = ()
     ) -> Any:
-        """What `function(*arguments)` returns there. function: of codecbench, also as `module:name`.
+        """Return what `function(*arguments)` returns there. function: of codecbench, also as `module:name`.
 
-        times: how many times the usual limit it may take. shows: paths that it is to see if it is confined; it is
-        started anew for one that it does not see. Raises the CodecbenchError that the function raised, PluginTimeout,
-        or PluginFault for anything else that happened.
+        times: multiple of the usual time limit. shows: paths that it must see if it is confined; it is restarted for a
+        new one. Raises the CodecbenchError that the function raised, PluginTimeout, or PluginFault for anything else.
         """
         name = function if isinstance(function, str) else f"{function.__module__}:{function.__qualname__}"
         with self._lock:
             if not self._shows.issuperset(shows):
                 self._shows.update(shows)
-                if wanted():
+                if is_confinement_requested():
                     self.end()
             self.start()
             assert self._channel is not None
@@ -152,15 +151,15 @@ class Host:
             return self._channel.call(None, name, *arguments)
 
     def end(self) -> None:
-        """End the process with all that it started; the next question starts another."""
+        """End the process and everything it started; the next question starts another."""
         if self._process is not None:
             left_running.discard(self._process.pid)
         self._end()
         self._process, self._channel, self._end = None, None, lambda: None
 
     @contextmanager
-    def answering(self, channel: _Asking) -> Iterator[None]:
-        """Until when an answer has to come, and what becomes of this host where none comes."""
+    def answering(self, channel: _HostChannel) -> Iterator[None]:
+        """Set the deadline of an answer, and end this host if the block fails because of it."""
         if self._channel is not channel:
             raise PluginLoss("its process has ended")
         if channel.depth == 0:
@@ -178,31 +177,31 @@ class Host:
             raise
 
     def wait(self, descriptor: int, event: int) -> None:
-        """Return when there is something to read or room to write. Raises PluginLoss where the process is gone or late.
+        """Return when there is something to read or room to write. Raises PluginLoss if the process is gone or late.
 
-        What is there in time is read, also by who comes late, but not what goes on coming.
+        What arrived in time is read even after the deadline, but not what keeps arriving.
         """
         assert self._process is not None
         assert self._channel is not None
         poll = select.poll()
         poll.register(descriptor, event)
         while True:
-            gone = self._process.poll() is not None
-            late = self._deadline is not None and time.monotonic() > self._deadline
-            self._late += late
-            if poll.poll(0 if gone or late else _POLL_MS) and self._late < _MOST_LATE:
+            is_gone = self._process.poll() is not None
+            is_late = self._deadline is not None and time.monotonic() > self._deadline
+            self._late += is_late
+            if poll.poll(0 if is_gone or is_late else _POLL_MS) and self._late < _MOST_LATE:
                 return
-            if late:
+            if is_late:
                 raise PluginTimeout(f"no answer within {self._channel.limit_s:g} s")
-            if gone:
+            if is_gone:
                 raise self._loss()
 
     def _loss(self) -> PluginLoss:
-        """How the process ended, and where it was then."""
+        """Return the error that says how the process ended, with its stack trace."""
         assert self._process is not None
         try:
             status = self._process.wait(1.0)
-            loss = PluginLoss(ended(128 - status if status > 128 else status))
+            loss = PluginLoss(describe_exit(128 - status if status > 128 else status))
         except subprocess.TimeoutExpired:
             return PluginLoss("it closed the connection of its process")
         with suppress(OSError), open(self._folder / CRASH_FILE, errors="replace", opener=open_plain) as file:
@@ -211,12 +210,12 @@ class Host:
         return loss
 
 
-class _Asking(Channel):
-    """The end of a conversation that asks a host."""
+class _HostChannel(Channel):
+    """The calling end of a conversation with a host."""
 
     def __init__(self, host: Host, reads: int, writes: int, sends: SharedMemory, receives: SharedMemory) -> None:
         super().__init__(reads, writes, sends, receives, host.wait)
-        self._host = host  # which lives as long as an object of its process is known
+        self._host = host  # keeps the host alive as long as any of its objects
 
     def call(self, target: Any, name: str, *arguments: Any, **words: Any) -> Any:
         with self._host.answering(self):
@@ -228,7 +227,7 @@ class _Asking(Channel):
 
 
 def cache_variable() -> dict[str, str]:
-    """The environment variables of where compiled kernels are, so that they mean the same in another folder."""
+    """Return the environment variables of the kernel cache with absolute paths, valid in any folder."""
     names = {"CODECBENCH_CACHE", "CODECBENCH_KERNELS"} & os.environ.keys()
     return {name: os.path.abspath(os.path.expanduser(os.environ[name])) for name in names}
 
@@ -237,7 +236,7 @@ def _end(
     process: subprocess.Popen[bytes], pipes: tuple[int, ...], memory: tuple[SharedMemory, ...], folder: HeldFolder
 ) -> None:
     """End a host with its process group and remove what it left."""
-    process.terminate()  # its supervisor ends it with all that it started
+    process.terminate()  # its supervisor ends everything that it started
     with suppress(subprocess.TimeoutExpired):
         process.wait(_PATIENCE_S)
     process.kill()

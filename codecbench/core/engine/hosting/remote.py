@@ -1,4 +1,4 @@
-"""Objects of another process: what is called on them is done there."""
+"""Proxies for objects of another process: calls on them are executed there."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from codecbench.core.engine.hosting.channel import FACTS, METHODS, Channel, Plug
 class Remote:
     """An object at the other end of a channel: its facts are attributes, and its methods are called there.
 
-    place: the channel, and its number there.
+    place: the channel, and the object's number there.
     """
 
     def __init__(self, channel: Channel, number: int, kind: str, facts: dict[str, Any]) -> None:
         self.place, self.kind, self._methods = (channel, number), kind, METHODS[kind]
         self.facts = {name: facts[name] for name in FACTS.get(kind, ())} | facts
-        if kind != "codec":  # of which two may stand for one
+        if kind != "codec":  # two proxies may share a codec
             weakref.finalize(self, _drop, channel, number).atexit = False
 
     def call(self, name: str, *arguments: Any, **words: Any) -> Any:
-        """See `Channel.call`; `module:name` is called with this object first."""
-        words.pop("trace", None)  # operations are counted there, see `AnyCodec.at_encoder`
+        """Call a method, see `Channel.call`; a function `module:name` gets this object as its first argument."""
+        words.pop("trace", None)  # operations are counted in the host, see `AnyCodec.at_encoder`
         if self.kind == "slam_backend":
             arguments = (iter(arguments[0]), *arguments[1:])
         return self.place[0].call(self, name, *arguments, **words)
@@ -44,7 +44,7 @@ class Remote:
         return len(self.sequence if self.kind == "coded" else self.timestamps_s)
 
     def __iter__(self) -> Iterator[Any]:
-        """Itself where it is an iterator; else the frames of a sequence."""
+        """Iterate over itself if it is an iterator, otherwise over the frames of a sequence."""
         if self.kind == "iterator":
             return self
         return (getattr(self, "frame" if self.kind == "coded" else "read")(index) for index in range(len(self)))
@@ -64,10 +64,11 @@ class RemoteParams(SimpleNamespace):
 
 
 class RemoteCodec(Remote, AnyCodec[Any]):
-    """A codec of another process; in a worker, of two, so that who decodes never saw what was encoded.
+    """A codec in another process; in a worker, in two, so that the decoder never saw what was encoded.
 
-    encoding, decoding: give the codec of that process, and are called when it is first needed. What is asked of the
-    setting alone is asked where it was told first. Raises PluginFault where what it says of itself breaks the contract.
+    encoding, decoding: return the codec in that process, and are called when it is first needed. Questions about the
+    setting alone go to the process that described it first. Raises PluginFault if the codec's facts violate the
+    contract.
     """
 
     def __init__(
@@ -104,20 +105,20 @@ class RemoteCodec(Remote, AnyCodec[Any]):
         return self._decoding().call("decode_partial", list(fragments))
 
     def prepared(self, image: Any) -> Any:
-        here = self._encoding()
-        found = here.call("prepared", image)
-        return self if found is here else found
+        encoder = self._encoding()
+        codec = encoder.call("prepared", image)
+        return self if codec is encoder else codec
 
     def extract(self, image: Any) -> Any:
-        """Of a codec of features, as `encoder` and `decoder` are."""
+        """Extract features, at the encoder's end."""
         return self._encoding().call("extract", image)
 
     def encoder(self) -> Any:
-        """A session, as the codec's own class gives it."""
+        """Open a session of the codec's own class."""
         return self._encoding().call("encoder")
 
     def decoder(self) -> Any:
-        """A session, as the codec's own class gives it."""
+        """Open a session of the codec's own class."""
         return self._decoding().call("decoder")
 
     def with_params(self, **values: Any) -> Any:
@@ -150,5 +151,5 @@ def _drop(channel: Channel, number: int) -> None:
 
 
 def remote(channel: Channel, number: int, kind: str, facts: dict[str, Any]) -> Remote:
-    """The object of that number at the other end of a channel."""
+    """Return a proxy for an object at the other end of a channel."""
     return (RemoteCodec if kind == "codec" else Remote)(channel, number, kind, facts)

@@ -1,8 +1,8 @@
-"""Values as messages between a host and who asks it: JSON, and bytes in memory that both see. Never pickle.
+"""Encode values as messages between a host and its caller: JSON, with bytes in shared memory. Never pickle.
 
-Plain values, bytes, arrays, dataclasses of codecbench and its enumerations are copied. Objects stay where they are: the
-other side gets a reference, see `channel`. Of anything else the name of its type arrives, which is enough for whoever
-says that it is of the wrong one.
+Plain values, bytes, arrays, and codecbench's dataclasses and enumerations are copied. Objects stay where they are: the
+other side gets a reference, see `channel`. Of anything else only the type's name is sent, which is enough for an error
+message.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import enum
 import importlib
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from typing import Any, Final, Protocol, TypeAlias
 
 _OURS: Final = "codecbench."
@@ -19,36 +19,28 @@ _DEEPEST: Final = 40
 
 
 Payload: TypeAlias = "list[bytes | memoryview]"
-"""What is large of a message, in order."""
+"""The large parts of a message, in order."""
 
 
 class WireError(Exception):
-    """A message that nobody of ours writes."""
-
-
-@dataclass(frozen=True)
-class Reference:
-    """An object of one side, as the other one names it. facts: what is told of it with the first reference."""
-
-    number: int
-    kind: str
-    facts: dict[str, Any]
+    """Raised for a message that codecbench never writes."""
 
 
 class Objects(Protocol):
-    """The objects of a conversation. obeys: what the other side says is done, so that a message may import a module."""
+    """The objects of a conversation."""
 
     obeys: bool
+    """Whether the other side is trusted, so that a message may import a module."""
 
     def refer(self, value: object) -> dict[str, Any] | None:
-        """How to name an object that stays where it is, `facts` not packed yet; None for a value that is copied."""
+        """Return a reference to an object that stays here, `facts` not packed yet; None for a value to be copied."""
 
-    def resolve(self, named: dict[str, Any]) -> Any:
-        """The object that the other side named. Raises WireError for one that there is not."""
+    def resolve(self, reference: dict[str, Any]) -> Any:
+        """Return the object that a reference stands for. Raises WireError if there is none."""
 
 
 def pack(value: Any, objects: Objects, payload: Payload) -> Any:
-    """A value as JSON types; bytes are appended to `payload`."""
+    """Convert a value to JSON types; bytes are appended to `payload`."""
     kind = type(value)
     if value is None or kind in (bool, int, float, str):
         return value
@@ -57,7 +49,7 @@ def pack(value: Any, objects: Objects, payload: Payload) -> Any:
             named["facts"] = pack(named["facts"], objects, payload)
         return named
     if issubclass(kind, bytes):
-        return {"bytes": _appended(payload, memoryview(value).tobytes())}  # whatever a subclass says of itself
+        return {"bytes": _append(payload, memoryview(value).tobytes())}  # a subclass may override everything else
     if issubclass(kind, enum.Enum) and kind.__module__.startswith(_OURS):
         return {"enum": f"{kind.__module__}:{kind.__qualname__}", "name": value.name}
     for plain, spelled in ((bool, bool), (int, int.__int__), (float, float.__float__), (str, str.__str__)):
@@ -72,12 +64,12 @@ def pack(value: Any, objects: Objects, payload: Payload) -> Any:
     if (record := _record_type(kind)) is not None:
         parts = {name: pack(getattr(value, name), objects, payload) for name in _names(kind)}
         return {"record": record, "fields": parts}
-    array = _packed_array(value, payload)
+    array = _pack_array(value, payload)
     return {"other": kind.__name__} if array is None else array
 
 
 def unpack(value: Any, objects: Objects, memory: memoryview, depth: int = 0) -> Any:
-    """The value that `pack` wrote; arrays and bytes are copied. Raises WireError for anything else."""
+    """Read the value that `pack` wrote; arrays and bytes are copied. Raises WireError for anything else."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if not isinstance(value, dict) or depth > _DEEPEST:
@@ -101,21 +93,21 @@ def unpack(value: Any, objects: Objects, memory: memoryview, depth: int = 0) -> 
     if "dict" in value:
         return dict(map(all_of, value["dict"]))
     if "array" in value:
-        return _unpacked_array(value, memory)
+        return _unpack_array(value, memory)
     if "rng" in value:
         return _generator(unpack(value["rng"], objects, memory, depth + 1))
     if "enum" in value:
-        return _class_named(value["enum"], objects, lambda found: issubclass(found, enum.Enum))[value["name"]]
+        return _class_by_name(value["enum"], objects, lambda cls: issubclass(cls, enum.Enum))[value["name"]]
     if "record" in value:
-        cls = _class_named(value["record"], objects, lambda found: _record_type(found) is not None)
+        cls = _class_by_name(value["record"], objects, lambda cls: _record_type(cls) is not None)
         return cls(**{name: unpack(item, objects, memory, depth + 1) for name, item in value["fields"].items()})
     if "other" in value:
         return type(str(value["other"])[:100], (), {})()
     raise WireError(f"an object with {', '.join(map(str, value))}")
 
 
-def _appended(payload: Payload, content: bytes | memoryview) -> list[int]:
-    """Where in the payload this begins, and its size."""
+def _append(payload: Payload, content: bytes | memoryview) -> list[int]:
+    """Append content to the payload; return its offset and size."""
     payload.append(content)
     return [sum(map(len, payload)) - len(content), len(content)]
 
@@ -127,14 +119,14 @@ def _part(memory: memoryview, place: Any) -> memoryview:
     return memory[begin : begin + size]
 
 
-def _packed_array(value: Any, payload: Payload) -> Any:
-    """An array, number or random generator of NumPy; None for anything else."""
-    numpy = sys.modules.get("numpy")  # whoever has an array has loaded it
+def _pack_array(value: Any, payload: Payload) -> Any:
+    """Pack an array, number or random generator of NumPy; None for anything else."""
+    numpy = sys.modules.get("numpy")  # loaded if there is an array
     if numpy is None:
         return None
     kind = type(value)
     if issubclass(kind, numpy.generic):
-        return _packed_array(numpy.asarray(value), payload) if value.dtype.hasobject else value.item()
+        return _pack_array(numpy.asarray(value), payload) if value.dtype.hasobject else value.item()
     if issubclass(kind, numpy.random.Generator):
         seed, state = value.bit_generator.seed_seq, value.bit_generator.state
         named = {"entropy": seed.entropy, "spawn_key": seed.spawn_key, "n_children_spawned": seed.n_children_spawned}
@@ -145,11 +137,11 @@ def _packed_array(value: Any, payload: Payload) -> Any:
         return {"other": f"{kind.__name__} of dtype {value.dtype}"}
     plain = numpy.array(value, order="C", subok=False, copy=not value.flags.c_contiguous)
     content = memoryview(plain).cast("B") if plain.size else b""
-    return {"array": _appended(payload, content), "dtype": value.dtype.str, "shape": list(value.shape)}
+    return {"array": _append(payload, content), "dtype": value.dtype.str, "shape": list(value.shape)}
 
 
-def _unpacked_array(value: dict[str, Any], memory: memoryview) -> Any:
-    import numpy as np
+def _unpack_array(value: dict[str, Any], memory: memoryview) -> Any:
+    import numpy as np  # only hosts that are sent arrays load it
 
     dtype = np.dtype(str(value["dtype"]))
     if dtype.hasobject:
@@ -157,36 +149,36 @@ def _unpacked_array(value: dict[str, Any], memory: memoryview) -> Any:
     return np.frombuffer(bytearray(_part(memory, value["array"])), dtype).reshape([int(n) for n in value["shape"]])
 
 
-def _generator(told: dict[str, Any]) -> Any:
-    import numpy as np
+def _generator(state: dict[str, Any]) -> Any:
+    import numpy as np  # only hosts that are sent arrays load it
 
-    rng = np.random.default_rng(np.random.SeedSequence(**told["seed"]))
-    rng.bit_generator.state = told["state"]
+    rng = np.random.default_rng(np.random.SeedSequence(**state["seed"]))
+    rng.bit_generator.state = state["state"]
     return rng
 
 
 def _record_type(kind: type) -> str | None:
-    """The name of a dataclass or named tuple of codecbench."""
+    """Return the qualified name of a dataclass or named tuple of codecbench, or None."""
     known = kind.__module__.startswith(_OURS) and (is_dataclass(kind) or hasattr(kind, "_fields"))
     return f"{kind.__module__}:{kind.__qualname__}" if known else None
 
 
 def _names(kind: Any) -> list[str]:
-    """The fields that say what a record is; not what it has cached."""
+    """Return the fields that define a record, without cached ones."""
     return list(kind._fields) if hasattr(kind, "_fields") else [f.name for f in fields(kind) if f.init and f.compare]
 
 
-def _class_named(name: Any, objects: Objects, is_allowed: Callable[[type], bool]) -> Any:
-    """The class of that name in a module of codecbench; one that is loaded, unless the other side is obeyed."""
+def _class_by_name(name: Any, objects: Objects, is_allowed: Callable[[type], bool]) -> Any:
+    """Return a class of codecbench by its qualified name; imports its module only if the other side is obeyed."""
     module, _, qualified = str(name).partition(":")
     if objects.obeys and module.startswith(_OURS):
         importlib.import_module(module)
-    found: Any = sys.modules.get(module) if module.startswith(_OURS) else None
+    cls: Any = sys.modules.get(module) if module.startswith(_OURS) else None
     for part in qualified.split("."):
-        found = vars(found).get(part) if found is not None else None
-    if not isinstance(found, type) or not is_allowed(found):
+        cls = vars(cls).get(part) if cls is not None else None
+    if not isinstance(cls, type) or not is_allowed(cls):
         raise WireError(f"{str(name)[:100]} is no record")
-    return found
+    return cls
 
 
 class _NoObjects:
@@ -195,5 +187,5 @@ class _NoObjects:
     def refer(self, value: object) -> None:
         return None
 
-    def resolve(self, named: dict[str, Any]) -> Any:
+    def resolve(self, reference: dict[str, Any]) -> Any:
         raise WireError("an object")

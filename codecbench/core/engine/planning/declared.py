@@ -1,4 +1,4 @@
-"""What plugins declare of their meaning, as JSON types: kept in the plan, so that tables need no plugin."""
+"""Store in the plan, as JSON types, what plugins declare about themselves, so that tables need no plugin."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from codecbench.core.contracts.view import View
 from codecbench.core.engine.planning.model import Plan, PluginSetting
 
 _OFFERED: Final = ("compare", "drawing", "marks")
-"""What results ask an evaluator for, where it has it."""
+"""Optional methods of an evaluator that reports call."""
 
 log = logging.getLogger("codecbench.results")
 
 
-def codec_declared(codec: AnyCodec[Any]) -> dict[str, Any]:
-    """The meaning of a codec."""
+def codec_declaration(codec: AnyCodec[Any]) -> dict[str, Any]:
+    """Return what a codec declares."""
     return {"reference": codec.reference, "stateless": codec.stateless}
 
 
-def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:
-    """The meaning of an evaluator's setting."""
+def evaluator_declaration(evaluator: Evaluator[Any]) -> dict[str, Any]:
+    """Return what an evaluator's setting declares."""
     return {
         "metrics": [_json(metric) for metric in evaluator.metrics],
         "views": [_json(view) for view in evaluator.views],
@@ -38,22 +38,22 @@ def evaluator_declared(evaluator: Evaluator[Any]) -> dict[str, Any]:
 
 
 def offers_of(plan: Plan, evaluator: PluginSetting) -> Sequence[str]:
-    """Which of these the plan says that an evaluator has; all, where it does not say."""
-    found = plan.declared.get("evaluators", {}).get(evaluator.title, {}).get("offers")
-    return found if isinstance(found, list) else _OFFERED
+    """Return which optional methods an evaluator has according to the plan; all of them if the plan does not say."""
+    offers = plan.declared.get("evaluators", {}).get(evaluator.title, {}).get("offers")
+    return offers if isinstance(offers, list) else _OFFERED
 
 
 def _json(part: Metric | View) -> dict[str, Any]:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(part).items()}
 
 
-def read_declared(kind: type[Any], value: dict[str, Any]) -> Any:
-    """A metric or view as the plan keeps it; None, with a line in the log, where this version cannot read it."""
+def read_declaration(kind: type[Any], value: dict[str, Any]) -> Any:
+    """Read a metric or view from the plan; if this version cannot, log a warning and return None."""
     names = {field.name for field in fields(kind)}
-    current: dict[str, str] = getattr(kind, "__former_names__", {})
-    known = {current.get(key, key): part for key, part in value.items() if current.get(key, key) in names}
+    new_names: dict[str, str] = getattr(kind, "__former_names__", {})
+    values = {new_names.get(key, key): part for key, part in value.items() if new_names.get(key, key) in names}
     try:
-        return TypeAdapter(kind).validate_python(known)
+        return TypeAdapter(kind).validate_python(values)
     except (CodecbenchError, ValueError) as error:
         log.warning("plan.json: %s", " ".join(str(error).split()))
         return None

@@ -1,4 +1,4 @@
-"""What a plan needs to know of plugins, as data: asked of each in this process or in its host."""
+"""Ask plugins, in this process or in their hosts, for everything that a plan needs, and return it as data."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from typing import Any, Final
 import numpy as np
 from pydantic import ValidationError
 
-from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.codec import AnyCodec
+from codecbench.core.contracts.errors import ParamsError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import CodecEvaluator
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.identity import canonical_json
-from codecbench.core.engine.planning.declared import codec_declared, evaluator_declared
+from codecbench.core.engine.planning.declared import codec_declaration, evaluator_declaration
 from codecbench.core.engine.planning.model import PluginSetting
 from codecbench.core.engine.planning.yaml_file import suggest
-from codecbench.core.engine.plugins.registry import Registry
+from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.engine.text import clean_line, clean_value
 
 _CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor", "link")
@@ -31,7 +32,7 @@ _MOST_NOTES: Final = 20
 
 
 class InvalidParams(Exception):
-    """Parameters that a plugin does not take: pydantic's errors, and the names that it knows."""
+    """Raised if a plugin rejects parameters; carries pydantic's errors and the allowed names."""
 
     def __init__(self, details: list[dict[str, Any]], fields: list[str]) -> None:
         super().__init__(f"{len(details)} invalid parameter(s)")
@@ -39,66 +40,69 @@ class InvalidParams(Exception):
 
     @property
     def sentence(self) -> str:
-        """What is wrong, for errors that have no place in a file to point at."""
-        wrong = []
+        """All errors in one line, for callers that have no file position to show."""
+        parts = []
         for detail in self.details:
             name = ".".join(str(step) for step in detail["loc"])
             unknown = detail["type"] == "extra_forbidden"
-            what = f"unknown; {suggest(name, self.fields)}" if unknown else said_of(detail)
-            wrong.append(f"{name}: {what}" if name else what)
-        return "; ".join(wrong)
+            message = f"unknown; {suggest(name, self.fields)}" if unknown else error_text(detail)
+            parts.append(f"{name}: {message}" if name else message)
+        return "; ".join(parts)
 
 
-def said_of(detail: Any) -> str:
-    """One of pydantic's errors in words, with what it got where that is one short value."""
-    got = detail.get("input")
+def error_text(detail: Any) -> str:
+    """Format one of pydantic's errors, with the rejected value if it is a short scalar."""
+    value = detail.get("input")
     message = str(detail["msg"]).removeprefix("Value error, ")
-    shown = repr(got)
-    return message if isinstance(got, Mapping) or len(shown) > 80 else f"{message}; got {shown}"
+    text = repr(value)
+    return message if isinstance(value, Mapping) or len(text) > 80 else f"{message}; got {text}"
 
 
 @dataclass(frozen=True)
 class Description:
-    """One setting of a plugin.
-
-    params: complete, as JSON types. explicit: names of those that are not at their default. identities: what
-    distinguishes each repeat, without parameters at their default; empty where `missing` says why there is no instance.
-    inert: see PluginSetting. declared: what it says of its meaning, see `planning.declared`. channels: of a codec.
-    uses: kind, name and parameters of the plugins that an evaluator runs. runs_codec: it is a CodecEvaluator.
-    requires: parameters for which stands what other evaluators measure, with the quantity of their metric.
-    """
+    """One setting of a plugin."""
 
     version: str
     params: dict[str, Any]
+    """Complete parameters as JSON types."""
     explicit: list[str] = field(default_factory=list)
+    """Names of the parameters that differ from their defaults."""
     identities: list[dict[str, Any]] = field(default_factory=list)
+    """Identity of each repeat without parameters at their default; empty if `missing` is set."""
     inert: list[str] = field(default_factory=list)
+    """See `PluginSetting`."""
     missing: str | None = None
+    """Why the plugin cannot be instantiated here, or None."""
     declared: dict[str, Any] = field(default_factory=dict)
+    """See `planning.declared`."""
     channels: list[int] = field(default_factory=list)
+    """Channel counts that a codec accepts."""
     needs: list[str] = field(default_factory=list)
     exclusive: bool = False
     runs_codec: bool = False
+    """Whether it is a CodecEvaluator."""
     uses: list[tuple[Kind, str, dict[str, Any]]] = field(default_factory=list)
+    """Kind, name and parameters of the plugins that an evaluator runs."""
     requires: dict[str, str] = field(default_factory=dict)
+    """Parameters whose value another evaluator measures, with the quantity of its metric."""
 
     def setting(self, kind: Kind, name: str, distribution: str) -> PluginSetting:
-        """The setting that is described. distribution: where the plugin is from, empty for codecbench's own."""
+        """Return the described setting. distribution: origin of the plugin, empty for codecbench's own."""
         return PluginSetting(kind, name, self.version, self.params, inert=tuple(self.inert), distribution=distribution)
 
 
 def describe(
     registry: Registry, kind: Kind, name: str, values: dict[str, Any], folder: str | None = None
 ) -> Description:
-    """The description of a plugin with these parameters; paths in them start at `folder`.
+    """Describe a plugin with these parameters. folder: base of relative paths in them.
 
-    Raises InvalidParams, Unsupported where it cannot be used here, and PluginError where it breaks the contract.
+    Raises InvalidParams, Unsupported if the plugin cannot be used here, and PluginError if it violates its contract.
     """
-    asked = repr((kind, name, values, folder))
-    if (answer := registry.told.get(asked)) is None:
-        answer = registry.ask(described, kind, name, values, folder, of=[(kind, name)])
+    key = repr((kind, name, values, folder))
+    if (answer := registry.answers.get(key)) is None:
+        answer = registry.ask(description_fields, kind, name, values, folder, of=[(kind, name)])
         if registry.find(kind, name).hosted:
-            registry.told[asked] = answer
+            registry.answers[key] = answer
     try:
         if "invalid" in answer:
             raise InvalidParams(answer["invalid"], answer["fields"])
@@ -110,31 +114,33 @@ def describe(
     return Description(**{**answer, "declared": clean_value(answer.get("declared", {}))})
 
 
-def described(registry: Registry, kind: Kind, name: str, values: dict[str, Any], folder: str | None) -> dict[str, Any]:
-    """The fields of a Description as JSON types, or `invalid` with pydantic's errors and `fields`."""
+def description_fields(
+    registry: Registry, kind: Kind, name: str, values: dict[str, Any], folder: str | None
+) -> dict[str, Any]:
+    """Return the fields of a Description as JSON types, or pydantic's errors as `invalid`, with `fields`."""
     cls = registry.load(kind, name)
     try:
         params = cls.params_type.model_validate(values, context={"relative_to": folder} if folder else None)
     except ValidationError as error:
         return {"invalid": [_plain(detail) for detail in error.errors()], "fields": list(cls.params_type.model_fields)}
-    found: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "version": _version(cls),
         "params": params.model_dump(mode="json"),
         "explicit": list(params.model_dump(exclude_defaults=True)),
     }
     if kind not in _CONSTRUCTED:
-        return {**found, **_identities(params, [params.identity()])}
+        return {**fields, **_identities(params, [params.identity()])}
     try:
         instance = cls(params)
     except Unsupported as error:
         unknown = {} if kind == "evaluator" else _identities(params, [params.identity()])
-        return {**found, **unknown, "missing": str(error)}
+        return {**fields, **unknown, "missing": str(error)}
     if kind == "evaluator":
-        return {**found, **_evaluator(instance, params)}
-    found |= _identities(params, [params.identity()])
+        return {**fields, **_evaluator(instance, params)}
+    fields |= _identities(params, [params.identity()])
     if kind == "codec":
-        found |= {"declared": codec_declared(instance), "channels": _channels(instance)}
-    return found
+        fields |= {"declared": codec_declaration(instance), "channels": _channels(instance)}
+    return fields
 
 
 def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
@@ -145,7 +151,7 @@ def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
         raise PluginError(f"{type(evaluator).__name__}.repeats is {evaluator.repeats}; it is 1 to {_MOST_REPEATS}")
     return {
         **_identities(params, [evaluator.repeat_identity(repeat) for repeat in range(evaluator.repeats)]),
-        "declared": evaluator_declared(evaluator),
+        "declared": evaluator_declaration(evaluator),
         "needs": sorted(evaluator.needs),
         "exclusive": bool(evaluator.exclusive),
         "runs_codec": isinstance(evaluator, CodecEvaluator),
@@ -179,27 +185,27 @@ def _version(cls: Any) -> str:
 
 
 def _plain(detail: Any) -> dict[str, Any]:
-    """One of pydantic's errors as JSON types, without the exception that it may hold."""
-    got = detail.get("input")
+    """Convert one of pydantic's errors to JSON types, without the exception that it may contain."""
+    value = detail.get("input")
     try:
-        json.dumps(got, allow_nan=False)
+        json.dumps(value, allow_nan=False)
     except (TypeError, ValueError):
-        got = repr(got)
-    return {"input": got, **{name: detail.get(name) for name in ("type", "loc", "msg")}}
+        value = repr(value)
+    return {"input": value, **{name: detail.get(name) for name in ("type", "loc", "msg")}}
 
 
-def sequence_described(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
-    """What a plan keeps of a dataset's sequence, which is opened. Raises DatasetError."""
+def describe_sequence(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
+    """Open a dataset's sequence and return what a plan stores about it. Raises DatasetError."""
     sequence = registry.create("dataset", name, params).open()
     if not isinstance(sequence, FrameSequence):
         raise PluginError(f"open returned {type(sequence).__name__}; it returns a FrameSequence")
-    found = {"name": sequence.name, "fingerprint": sequence.fingerprint}
-    for attribute, value in found.items():
+    facts = {"name": sequence.name, "fingerprint": sequence.fingerprint}
+    for attribute, value in facts.items():
         if not isinstance(value, str) or not value:
             raise PluginError(f"{type(sequence).__name__}.{attribute} is {value!r}; it is a string")
     _check_frames(sequence)
     return {
-        **found,
+        **facts,
         "name": clean_line(sequence.name),
         "frames": len(sequence),
         "channels": int(sequence.channels),
@@ -219,7 +225,7 @@ def _notes(sequence: FrameSequence) -> list[str]:
 
 
 def _check_frames(sequence: FrameSequence) -> None:
-    """Raise PluginError for a sequence whose frames cannot be read in order."""
+    """Raise PluginError if the frames of a sequence cannot be read in order."""
     title, frames = type(sequence).__name__, len(sequence)
     if frames == 0:
         raise PluginError(f"{title} has no frames")
@@ -233,28 +239,44 @@ def _check_frames(sequence: FrameSequence) -> None:
 
 
 def without_defaults(identity: dict[str, Any], params: Params) -> dict[str, Any]:
-    """What a plugin says distinguishes a setting, less the parameters that are at their default.
+    """Return a setting's identity without the parameters that are at their default.
 
-    A parameter that is added with a default so changes no identity. Entries that are not a parameter's value as it
-    stands stay, and so does everything where the rest would not validate to the same parameters (a union told apart
-    by a default).
+    So adding a parameter with a default changes no identity. Entries that are not a parameter's plain value stay.
+    Everything stays if the rest would not validate to the same parameters, as with a union that a default tells apart.
     """
     full = params.model_dump(mode="json")
-    brief = params.model_dump(mode="json", exclude_defaults=True)
-    if not _means(brief, params):
+    non_default = params.model_dump(mode="json", exclude_defaults=True)
+    if not _means(non_default, params):
         return identity
-    kept = {}
+    distinct = {}
     for name, value in identity.items():
         if name not in full or value != full[name]:
-            kept[name] = value
-        elif name in brief:
-            kept[name] = brief[name]
-    return kept
+            distinct[name] = value
+        elif name in non_default:
+            distinct[name] = non_default[name]
+    return distinct
 
 
 def _means(values: dict[str, Any], params: Params) -> bool:
-    """Whether these values validate to the very parameters."""
+    """Whether these values validate to exactly these parameters."""
     try:
         return type(params).model_validate(values) == params
     except ValidationError:
         return False
+
+
+def codec(name: str, **params: Any) -> AnyCodec[Any]:
+    """Create an installed codec from its name in a matrix and its parameters, for scripts and notebooks.
+
+    Raises PluginError with the nearest name if it is unknown, ParamsError for parameters that it rejects, and
+    Unsupported, with the command to install it, if a library is missing.
+    """
+    registry = installed()
+    try:
+        describe(registry, "codec", name, params)
+    except InvalidParams as invalid:
+        sequences = [key for key, value in params.items() if isinstance(value, list | tuple | range)]
+        hint = f"; one value is wanted of {', '.join(sequences)}: make a codec of each, or a grid in a matrix"
+        raise ParamsError(f"codec {name}: {invalid.sentence}{hint if sequences else ''}") from None
+    instance: AnyCodec[Any] = registry.create("codec", name, params)
+    return instance

@@ -1,4 +1,4 @@
-"""The settings that a section of a matrix spells out: without repetitions, and with labels that tell them apart."""
+"""Entries of a matrix section: one per setting, without duplicates and with labels that distinguish them."""
 
 from __future__ import annotations
 
@@ -14,74 +14,74 @@ from codecbench.core.engine.planning.yaml_file import Where
 
 @dataclass(frozen=True)
 class Entry:
-    """One setting of a section, and where in the file it stands.
-
-    written: the parameters that stand in the file. description: what the plugin says of it; None where it cannot be
-    used here, and `missing` then says why.
-    faulty: that is the plugin's own fault. wanted: the search that may try this setting, None where it is always run.
-    """
+    """One setting of a section, with its position in the file."""
 
     where: Where
     setting: PluginSetting
     written: frozenset[str] = frozenset()
+    """Names of the parameters that the file sets."""
     name: str | None = None
     description: Description | None = None
+    """The plugin's description; None if the plugin cannot be used here."""
     missing: str | None = None
+    """Why the plugin cannot be used here, if `description` is None."""
     faulty: bool = False
-    wanted: SearchSpec | None = None
+    """Whether `missing` is the plugin's own fault."""
+    search: SearchSpec | None = None
+    """The search that may try this setting; None if it always runs."""
 
     @property
     def requires(self) -> dict[str, str]:
-        """Parameters for which stands what other evaluators measure, with the quantity of their metric."""
+        """Parameters whose value another evaluator measures, with the quantity of its metric."""
         return self.description.requires if self.description else {}
 
 
-def distinct(entries: list[Entry]) -> list[Entry]:
-    """The entries without those that validate to a setting that came before, but with all that a search may try."""
-    kept: list[Entry] = []
+def unique_entries(entries: list[Entry]) -> list[Entry]:
+    """Drop entries that validate to an earlier setting; keep all that a search may try."""
+    unique: list[Entry] = []
     alike: dict[tuple[Any, ...], list[Entry]] = defaultdict(list)
     for entry in entries:
         values = entry.setting.params.values()
-        if entry.wanted is not None:
-            kept.append(entry)
+        if entry.search is not None:
+            unique.append(entry)
             continue
-        few = alike[tuple(value if isinstance(value, int | float | str) else repr(value) for value in values)]
-        if not any(entry.setting == other.setting and entry.name == other.name for other in few):
-            few.append(entry)
-            kept.append(entry)
-    return kept
+        candidates = alike[tuple(value if isinstance(value, int | float | str) else repr(value) for value in values)]
+        if not any(entry.setting == other.setting and entry.name == other.name for other in candidates):
+            candidates.append(entry)
+            unique.append(entry)
+    return unique
 
 
-def labelled(entries: list[Entry]) -> tuple[Entry, ...]:
-    """Give each setting the label that tells it from the other settings of its plugin.
+def label_entries(entries: list[Entry]) -> tuple[Entry, ...]:
+    """Give each setting the label that distinguishes it from the other settings of its plugin.
 
-    That of a codec is made of what somebody wrote: what it takes anyway would only make it long.
+    A codec's label contains only parameters that the file sets: defaults would only make it longer.
     """
-    same: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    params_by_plugin: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for entry in entries:
-        same[entry.setting.name].append(entry.setting.params)
-    differing = {name: _differing(several) for name, several in same.items()}
-    done = []
+        params_by_plugin[entry.setting.name].append(entry.setting.params)
+    differing = {name: _differing(group) for name, group in params_by_plugin.items()}
+    labelled = []
     for entry in entries:
         params, codec = entry.setting.params, entry.setting.kind == "codec"
-        if len(same[entry.setting.name]) > 1:
+        if len(params_by_plugin[entry.setting.name]) > 1:
             keys = [key for key in params if key in differing[entry.setting.name]]
             keys = [key for key in keys if codec and key in entry.written] or keys
         else:
             keys = _explicit(entry) if codec else []
         label = " ".join(f"{key}={_word(params[key])}" for key in keys if params[key] is not None)
-        done.append(replace(entry, setting=replace(entry.setting, label=label)))
-    return tuple(done)
+        labelled.append(replace(entry, setting=replace(entry.setting, label=label)))
+    return tuple(labelled)
 
 
-def _differing(several: list[dict[str, Any]]) -> set[str]:
-    """The parameters that are not the same in all settings of a plugin."""
-    first = several[0]
-    return {key for params in several for key in {**first, **params} if params.get(key) != first.get(key)}
+def _differing(group: list[dict[str, Any]]) -> set[str]:
+    """Return the parameters that are not the same in all settings of a plugin."""
+    first = group[0]
+    return {key for params in group for key in {**first, **params} if params.get(key) != first.get(key)}
 
 
 def _explicit(entry: Entry) -> list[str]:
-    """Parameters of the only setting of a codec that differ from the defaults."""
+    """Return the parameters of a codec's only setting that differ from their defaults."""
     return list(entry.setting.params) if entry.description is None else entry.description.explicit
 
 

@@ -1,30 +1,36 @@
-"""The matrix file: which sequences, codecs and evaluators meet, validated as a whole before anything runs."""
+"""Read the matrix file, which crosses sequences, codecs and evaluators, and validate all of it before anything runs."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from codecbench.core.contracts.errors import CodecbenchError, MatrixError, Unsupported
 from codecbench.core.contracts.hooks import Kind
 from codecbench.core.engine.planning.axes import Point, axes, axis_hint, points
-from codecbench.core.engine.planning.description import InvalidParams, describe, said_of
-from codecbench.core.engine.planning.entry import Entry, distinct, labelled
-from codecbench.core.engine.planning.inputs import require_sources
+from codecbench.core.engine.planning.description import InvalidParams, describe, error_text
+from codecbench.core.engine.planning.entry import Entry, label_entries, unique_entries
 from codecbench.core.engine.planning.model import PluginSetting, RunSettings
-from codecbench.core.engine.planning.objective import Objective
-from codecbench.core.engine.planning.plan_bounds import require_plannable
-from codecbench.core.engine.planning.search import Search, made_searches
+from codecbench.core.engine.planning.objective import Objective, UntilSection, find_decided_objective, require_sources
+from codecbench.core.engine.planning.search import Search, find_searches
 from codecbench.core.engine.planning.search_section import read_search_spec
-from codecbench.core.engine.planning.until import UntilSection, decided_objective
-from codecbench.core.engine.planning.yaml_file import Problems, Where, load, parsed, plain, shown, suggest
+from codecbench.core.engine.planning.yaml_file import (
+    Problems,
+    Where,
+    format_value,
+    load_yaml,
+    parse_yaml,
+    plain_value,
+    suggest,
+)
 from codecbench.core.engine.plugins.registry import Registry, installed
 
 VERSION = 1
@@ -47,26 +53,25 @@ class RunSection(BaseModel):
 
 @dataclass(frozen=True)
 class Matrix:
-    """A matrix file whose every name and parameter has been checked.
-
-    codecs: also all settings that the searches may try. until: what is to be decided by adding repeats. anchors: codecs
-    that rates are compared with; None for those that declare themselves one.
-    """
+    """A matrix file with every name and parameter checked."""
 
     path: Path
     text: str
     name: str
     sequences: tuple[Entry, ...]
     codecs: tuple[Entry, ...]
+    """Entries of the file, and all settings that the searches may try."""
     evaluators: tuple[Entry, ...]
     run: RunSettings
     root: Any
     searches: tuple[Search, ...] = ()
     until: Objective | None = None
+    """What is to be decided by adding repeats."""
     anchors: tuple[str, ...] | None = None
+    """Codecs that rates are compared with; None for those that declare themselves anchors."""
 
     def problems(self) -> Problems:
-        """An empty list of problems of this file, for checks that need more than the file."""
+        """Return an empty list of problems of this file, for checks that need more than the file."""
         return Problems(str(self.path), self.root)
 
 
@@ -76,45 +81,45 @@ def read_matrix(path: str | Path, registry: Registry | None = None) -> Matrix:
     Raises MatrixError that lists every problem as `file:line:column: place: what, allowed, suggestion`.
     """
     path = Path(path)
-    text, root = load(path)
-    return _checked(path, text, root, path.resolve().parent, registry)
+    text, root = load_yaml(path)
+    return _check_matrix(path, text, root, path.resolve().parent, registry)
 
 
 def matrix_from(
     content: str | Mapping[str, Any], registry: Registry | None = None, folder: Path | None = None
 ) -> Matrix:
-    """Check a matrix that is no file: its YAML text, or a mapping of JSON types and paths.
+    """Check a matrix that is not a file: YAML text, or a mapping of JSON types and paths.
 
-    folder: where paths in it start, by default here. Raises MatrixError as `read_matrix` does, with lines of the text,
-    or of the mapping as JSON.
+    folder: base of relative paths, by default the working directory. Raises MatrixError as `read_matrix` does, with
+    lines of the text, or of the mapping as JSON.
     """
     try:
         text = content if isinstance(content, str) else json.dumps(content, indent=2, default=os.fspath)
     except TypeError as error:
         raise MatrixError(f"matrix: {error}; a matrix is made of mappings, lists, texts, numbers and paths") from None
-    return _checked(Path("matrix"), text, parsed(text, "matrix"), folder or Path.cwd(), registry)
+    return _check_matrix(Path("matrix"), text, parse_yaml(text, "matrix"), folder or Path.cwd(), registry)
 
 
-def _checked(path: Path, text: str, root: Any, folder: Path, registry: Registry | None) -> Matrix:
-    """The matrix of a parsed text. folder: where paths in it start."""
+def _check_matrix(path: Path, text: str, root: Any, folder: Path, registry: Registry | None) -> Matrix:
+    """Check the matrix of a parsed text. folder: base of relative paths."""
     problems = Problems(str(path), root)
     reader = _Reader(problems, registry or installed(), folder)
     if not isinstance(root, Mapping):
-        problems.add((), f"a matrix is a mapping with {', '.join(_TOP)}; got {type(plain(root)).__name__}")
+        problems.add((), f"a matrix is a mapping with {', '.join(_TOP)}; got {type(plain_value(root)).__name__}")
         problems.raise_any()
     problems.unknown((), root, _TOP)
     if root.get("version") != VERSION:
-        problems.add(("version",), f"must be {VERSION}; got {plain(root.get('version'))!r}")
-    name = plain(root.get("name", path.stem))
+        problems.add(("version",), f"must be {VERSION}; got {plain_value(root.get('version'))!r}")
+    name = plain_value(root.get("name", path.stem))
     if not (isinstance(name, str) and _NAME.fullmatch(name)):
-        problems.add(("name",), f"{shown(name)} is not made of letters, digits, '.', '_' and '-'")
+        problems.add(("name",), f"{format_value(name)} is not made of letters, digits, '.', '_' and '-'")
     sections = {section: reader.section(section, root.get(section)) for section in _SECTIONS}
     run = reader.run_section(root.get("run") or {})
     anchors = _anchors(root.get("anchors"), sections["codecs"], problems)
     problems.raise_any()
     assert run is not None
-    searches = made_searches(sections["codecs"], sections["evaluators"], problems)
-    until = decided_objective(run[1], root, sections["evaluators"], problems)
+    searches = find_searches(sections["codecs"], sections["evaluators"], problems)
+    until = find_decided_objective(run[1], root, sections["evaluators"], problems)
     require_sources(sections["evaluators"], reader.registry, problems)
     problems.raise_any()
     require_plannable(sections, searches, problems)
@@ -123,7 +128,7 @@ def _checked(path: Path, text: str, root: Any, folder: Path, registry: Registry 
 
 
 class _Reader:
-    """Reads sections, noting every problem and going on."""
+    """Reads sections; notes every problem and continues."""
 
     def __init__(self, problems: Problems, registry: Registry, folder: Path) -> None:
         self.problems = problems
@@ -133,41 +138,43 @@ class _Reader:
     def section(self, section: str, items: Any) -> tuple[Entry, ...]:
         kind = _SECTIONS[section]
         if not isinstance(items, list) or not items:
-            got = "nothing" if items is None else shown(items)
+            got = "nothing" if items is None else format_value(items)
             self.problems.add((section,), f"must be a list with at least one {kind}; got {got}")
             return ()
         entries: list[Entry] = []
         for index, item in enumerate(items):
             entries.extend(self.entries(kind, (section, index), item))
-        return labelled(distinct(entries))
+        return label_entries(unique_entries(entries))
 
     def entries(self, kind: Kind, where: Where, item: Any) -> Iterator[Entry]:
-        """The settings that one item of a section stands for: one, or as many as its axes span."""
+        """Yield the settings that one item of a section spans."""
         if isinstance(item, str):
             item = {"use": item}
         if not isinstance(item, Mapping) or not isinstance(item.get("use"), str):
-            self.problems.add(where, f"must be a name or a mapping with `use: NAME`; got {shown(item)}")
+            self.problems.add(where, f"must be a name or a mapping with `use: NAME`; got {format_value(item)}")
             return
         more = {"dataset": ("name",), "codec": ("search", "at")}.get(kind, ())
         self.problems.unknown(where, item, ("use", *more, "params"))
-        name = plain(item.get("name"))
+        name = plain_value(item.get("name"))
         if name is not None and not (isinstance(name, str) and _NAME.fullmatch(name)):
-            self.problems.add((*where, "name"), f"{shown(name)} is not made of letters, digits, '.', '_' and '-'")
+            self.problems.add(
+                (*where, "name"), f"{format_value(name)} is not made of letters, digits, '.', '_' and '-'"
+            )
             return
         params = item.get("params") or {}
         if not isinstance(params, Mapping):
-            self.problems.add((*where, "params"), f"must be a mapping; got {shown(params)}")
+            self.problems.add((*where, "params"), f"must be a mapping; got {format_value(params)}")
             return
-        spanned, wanted = axes(params, (*where, "params"), self.problems), None
+        spanned, search = axes(params, (*where, "params"), self.problems), None
         if kind == "codec" and ("search" in item or "at" in item):
-            wanted = read_search_spec(item, where, spanned, self.problems)
+            search = read_search_spec(item, where, spanned, self.problems)
         for point in points(spanned):
             entry = self.entry(kind, where, str(item["use"]), point)
             if entry is not None:
-                yield replace(entry, name=name, wanted=wanted)
+                yield replace(entry, name=name, search=search)
 
     def entry(self, kind: Kind, where: Where, name: str, point: Point) -> Entry | None:
-        """One validated setting, or None after noting what is wrong with it."""
+        """Return one validated setting, or None after noting what is wrong with it."""
         values = {key: value for key, (_, value) in point.items()}
         written = frozenset(values)
         unusable, plugin = Entry(where, PluginSetting(kind, name, "", values), written), None
@@ -177,7 +184,7 @@ class _Reader:
             plugin = self.registry.find(kind, name)
             description = describe(self.registry, kind, name, values, str(self.folder))
         except InvalidParams as invalid:
-            if plugin is not None and plugin.hosted and (fault := _own_fault(invalid, values)):
+            if plugin is not None and plugin.hosted and (fault := _default_fault(invalid, values)):
                 return replace(unusable, missing=f"{plugin.title}: {fault}", faulty=True)
             for detail in invalid.details:
                 self.note(where, point, detail, invalid.fields)
@@ -194,10 +201,10 @@ class _Reader:
         return Entry(where, setting, written, description=description)
 
     def note(self, where: Where, point: Point, detail: Any, fields: list[str]) -> None:
-        """Translate one of pydantic's errors into a problem at the value that it is about."""
+        """Turn one of pydantic's errors into a problem at the value that it is about."""
         location = detail["loc"]
         if not location:
-            self.problems.add((*where, "params"), said_of(detail))
+            self.problems.add((*where, "params"), error_text(detail))
         elif detail["type"] == "extra_forbidden" and len(location) == 1:
             self.problems.add((*where, "params", location[0]), f"unknown; {suggest(location[0], fields)}", at_key=True)
         elif detail["type"] == "missing":
@@ -205,15 +212,15 @@ class _Reader:
         else:
             place, value = point.get(location[0], ((*where, "params"), None))
             hint = "" if any(isinstance(part, int) for part in location) else axis_hint(str(location[0]), value)
-            self.problems.add((*place, *location[1:]), said_of(detail) + hint)
+            self.problems.add((*place, *location[1:]), error_text(detail) + hint)
 
     def run_section(self, section: Any) -> tuple[RunSettings, UntilSection | None] | None:
         if not isinstance(section, Mapping):
-            self.problems.add(("run",), f"must be a mapping; got {shown(section)}")
+            self.problems.add(("run",), f"must be a mapping; got {format_value(section)}")
             return None
-        values = plain(section)
-        usual = next((plugin.spec.name for plugin in self.registry.plugins("executor")), None)
-        executor = list(self.entries("executor", ("run", "executor"), section.get("executor", usual)))
+        values = plain_value(section)
+        default = next((plugin.spec.name for plugin in self.registry.plugins("executor")), None)
+        executor = list(self.entries("executor", ("run", "executor"), section.get("executor", default)))
         values.pop("executor", None)
         try:
             run = RunSection.model_validate(values)
@@ -222,7 +229,7 @@ class _Reader:
             for detail in error.errors():
                 key = detail["loc"][0]
                 unknown = detail["type"] == "extra_forbidden"
-                message = f"unknown; {suggest(str(key), fields)}" if unknown else said_of(detail)
+                message = f"unknown; {suggest(str(key), fields)}" if unknown else error_text(detail)
                 self.problems.add(("run", *detail["loc"]), message, at_key=unknown)
             return None
         if len(executor) != 1:
@@ -236,26 +243,43 @@ class _Reader:
 
 
 def _anchors(items: Any, codecs: tuple[Entry, ...], problems: Problems) -> tuple[str, ...] | None:
-    """The codecs to compare rates with, each of them in the matrix and no baseline; None where not said."""
+    """Return the codecs to compare rates with, each in the matrix and no baseline; None if the file names none."""
     if items is None:
         return None
     if not isinstance(items, list) or not items:
-        problems.add(("anchors",), f"must be a list of codecs; got {shown(items)}")
+        problems.add(("anchors",), f"must be a list of codecs; got {format_value(items)}")
         return None
-    found = [str(plain(item)) for item in items]
+    names = [str(plain_value(item)) for item in items]
     references = {entry.setting.name: entry.description and entry.description.declared for entry in codecs}
-    for place, name in enumerate(found):
+    for place, name in enumerate(names):
         if name not in references:
             problems.add(("anchors", place), f"{name!r} is no codec of this matrix; {suggest(name, list(references))}")
         elif (references[name] or {}).get("reference") == "baseline":
             problems.add(("anchors", place), f"{name} is the baseline, which has no curve to compare with")
-    return tuple(found)
+    return tuple(names)
 
 
-def _own_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
-    """What a plugin does not take though nobody gave it: a default of its own."""
+def _default_fault(invalid: InvalidParams, values: Mapping[str, Any]) -> str | None:
+    """Describe a default value that its own plugin rejects, or return None."""
     for detail in invalid.details:
-        place = detail["loc"][0] if detail["loc"] else None
-        if detail["type"] != "missing" and place not in values and (place is not None or not values):
-            return f"parameter {place}: {said_of(detail)}" if place else said_of(detail)
+        name = detail["loc"][0] if detail["loc"] else None
+        if detail["type"] != "missing" and name not in values and (name is not None or not values):
+            return f"parameter {name}: {error_text(detail)}" if name else error_text(detail)
     return None
+
+
+_MOST_CELLS: Final = 1_000_000
+
+
+def require_plannable(
+    sections: Mapping[str, tuple[Entry, ...]], searches: tuple[Search, ...], problems: Problems
+) -> None:
+    """Raise MatrixError if crossing the sections gives more cells than can be planned."""
+    counts = {section: len(entries) for section, entries in sections.items()}
+    counts["codecs"] = sum(entry.search is None for entry in sections["codecs"])
+    counts["codecs"] += sum(min(search.budget, len(search.settings)) for search in searches)
+    cells = math.prod(counts.values())
+    if cells > _MOST_CELLS:
+        spelled = " x ".join(f"{count:,} {section}" for section, count in counts.items())
+        problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are planned")
+        problems.raise_any()

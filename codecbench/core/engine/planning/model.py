@@ -1,4 +1,4 @@
-"""The nouns of a plan: which settings of which plugins meet on which sequence."""
+"""The data model of a plan: which settings of which plugins run on which sequences."""
 
 from __future__ import annotations
 
@@ -13,66 +13,65 @@ from codecbench.core.engine.text import clean_line, clean_text, clean_value
 
 @dataclass(frozen=True)
 class PluginSetting:
-    """One plugin with one set of parameters, validated.
-
-    params: complete, as JSON types, paths absolute. label: what tells this setting from the others of the
-    same plugin in the matrix (`qf=5 levels=2`), empty where it is the only one. uses: the plugins that an evaluator
-    runs. inert: names of parameters that cannot change a result, so that they are in no identity. distribution: where
-    it comes from, with its version; empty for codecbench's own.
-    """
+    """One plugin with one validated set of parameters."""
 
     kind: Kind
     name: str
     version: str
     params: dict[str, Any] = field(default_factory=dict)
+    """Complete, as JSON types, with absolute paths."""
     label: str = ""
+    """Distinguishes it from other settings of its plugin (`qf=5 levels=2`); empty if it is the only one."""
     uses: tuple[PluginSetting, ...] = ()
+    """The plugins that an evaluator runs."""
     inert: tuple[str, ...] = ()
+    """Names of parameters that cannot change a result and therefore enter no identity."""
     distribution: str = ""
+    """The plugin's distribution with its version; empty for codecbench's own."""
 
     def __hash__(self) -> int:
         return hash((self.kind, self.name, self.version, self.label))
 
     @property
     def full_name(self) -> str:
-        """The plugin with its distribution, as reasons name it."""
+        """The plugin with its distribution, for messages."""
         return f"{self.kind.replace('_', ' ')} {self.name} of {self.distribution or 'codecbench'}"
 
     @property
     def title(self) -> str:
-        """What tables call the setting of an evaluator: its name, and its label where it has several settings."""
+        """An evaluator setting's name in tables: its name, and its label if it has several settings."""
         return f"{self.name}({self.label})" if self.label else self.name
 
     def effective_params(self) -> dict[str, Any]:
-        """The parameters that can change a result, those at their default among them."""
+        """Return the parameters that can change a result, including those at their default."""
         return {name: value for name, value in self.params.items() if name not in self.inert}
 
 
 @dataclass(frozen=True)
 class SequenceEntry:
-    """A sequence of the matrix, opened once while planning.
-
-    missing: why a plugin's fault kept it from being opened; its fingerprint is then that of its setting.
-    notes: what its dataset says of it, in sentences. as_calibrated: as its dataset declares, see `FrameSequence`.
-    frame_rate_hz: nominal; 0 where it is not known.
-    """
+    """A sequence of the matrix, opened once while planning."""
 
     name: str
     dataset: PluginSetting
     fingerprint: str
+    """Digest of its frames; of its setting if it could not be opened."""
     frames: int
     channels: int
     has_camera: bool
     has_ground_truth: bool
     missing: str | None = None
+    """Which fault of its plugin prevented opening it, or None."""
     notes: tuple[str, ...] = ()
+    """Remarks of its dataset, in sentences."""
     as_calibrated: str = ""
+    """As its dataset declares, see `FrameSequence`."""
     frame_rate_hz: float = 0.0
+    """Nominal; 0 if unknown."""
 
 
 @dataclass(frozen=True)
 class CodingJob:
-    """All frames of a sequence under one codec setting. Its id is the name of its file of bitstreams."""
+    """All frames of a sequence under one codec setting. Its id is the name of its bitstream file."""
 
     id: str
     sequence: SequenceEntry
@@ -80,20 +79,16 @@ class CodingJob:
 
     @property
     def plugins(self) -> tuple[PluginSetting, ...]:
-        """Those whose code runs."""
+        """Settings of the plugins whose code runs."""
         return self.sequence.dataset, self.codec
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One sequence x one codec setting x one evaluator x one repeat.
-
-    id: hash of everything that can change the result. job_id: the coding job whose bitstreams it reads, or
-    None for evaluators that run the codec themselves. unsupported: why it cannot be computed, or None. inputs: what
-    other cells have measured for it, by the parameter for which that stands.
-    """
+    """One sequence x one codec setting x one evaluator x one repeat."""
 
     id: str
+    """Hash of everything that can change the result."""
     sequence: SequenceEntry
     codec: PluginSetting
     evaluator: PluginSetting
@@ -101,22 +96,25 @@ class Cell:
     seed: int
     exclusive: bool
     job_id: str | None
+    """The coding job whose bitstreams it reads; None for evaluators that run the codec themselves."""
     unsupported: str | None = None
+    """Why it cannot be computed, or None."""
     inputs: dict[str, float] = field(default_factory=dict)
+    """Values measured by other cells, by the parameter that they replace."""
 
     @property
     def plugins(self) -> tuple[PluginSetting, ...]:
-        """Those whose code runs."""
+        """Settings of the plugins whose code runs."""
         return self.sequence.dataset, self.codec, self.evaluator, *self.evaluator.uses
 
     def tail(self) -> tuple[Any, ...]:
-        """What is the cell's own: its fields after the settings, in order, but its inputs."""
+        """Return the cell's fields after its settings, in order, without its inputs."""
         return self.repeat, self.seed, self.exclusive, self.job_id, self.unsupported
 
 
 @dataclass(frozen=True)
 class RunSettings:
-    """The `run:` section of a matrix. None of it can change a result but `seed`, which enters every cell."""
+    """The `run:` section of a matrix. Only `seed`, which enters every cell, can change a result."""
 
     workers: int
     timeout_s: float
@@ -130,22 +128,26 @@ SearchState = Literal["under way", "found", "nearest", "unreachable", "stopped"]
 
 @dataclass(frozen=True)
 class SearchFinding:
-    """What a search has found on a sequence by now.
-
-    objective: the metric and the value that it is to have. setting: the label of the setting that was found, empty if
-    none was. reached: its value, None if it has none that is finite. trials: settings that were tried. words: a
-    sentence about it. under way: settings are still to be tried; found: this one meets the objective; nearest: no other
-    comes nearer; unreachable: none meets it; stopped: a trial failed or has no value, or the budget is spent.
-    """
+    """What a search has found on a sequence so far."""
 
     sequence: str
     codec: str
     objective: Annotated[str, Field(validation_alias=AliasChoices("objective", "aim"))]
+    """The metric and its target value."""
     state: SearchState
+    """The state of the search.
+
+    "under way": settings remain to be tried. "found": `setting` meets the objective. "nearest": no other setting comes
+    nearer. "unreachable": none meets it. "stopped": a trial failed or has no value, or the budget is spent.
+    """
     setting: str
+    """Label of the setting that was found; empty if none was."""
     reached: float | None
+    """The value at that setting; None if it has no finite one."""
     trials: int
+    """Number of settings tried."""
     words: str
+    """A sentence about the result."""
 
     def __str__(self) -> str:
         return f"{self.codec} on {self.sequence}, {self.objective}: {self.words}"
@@ -153,11 +155,7 @@ class SearchFinding:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a matrix asks for, in the order in which tables show it.
-
-    declared: what its plugins said of their meaning when the plan was made; see `planning.declared`. searches: what
-    each has found when the plan was last made; see `planning.search`.
-    """
+    """What a matrix asks for, in table order."""
 
     name: str
     matrix_text: str
@@ -166,12 +164,14 @@ class Plan:
     jobs: tuple[CodingJob, ...]
     cells: tuple[Cell, ...]
     declared: dict[str, Any] = field(default_factory=dict)
+    """What the plugins declared when the plan was made; see `planning.declared`."""
     searches: tuple[SearchFinding, ...] = ()
+    """What each search had found when the plan was last made; see `planning.search`."""
 
     def as_json(self) -> dict[str, Any]:
-        """The plan as JSON types; `plan_from_json` reads it back.
+        """Return the plan as JSON types; `plan_from_json` reads it back.
 
-        Cells name their sequence and settings by position, so that a plan of 100,000 cells stays small.
+        Cells refer to their sequence and settings by position, so that a plan of 100,000 cells stays small.
         """
         settings: dict[PluginSetting, int] = {}
         positions = {entry.name: position for position, entry in enumerate(self.sequences)}
@@ -200,14 +200,14 @@ class Plan:
 
 _Id = Annotated[str, Field(pattern="^[0-9a-f]+$")]
 _Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=255)]
-"""Of a matrix; folders are called by it."""
+"""Name of a matrix; folders are named after it."""
 
 _Declared = dict[str, dict[str, dict[str, Any]]]
 
 
 @dataclass(frozen=True)
 class _PlanBody:
-    """What `as_json` writes; texts of one line are cleaned, for the plan may come from elsewhere."""
+    """What `as_json` writes. Single-line texts are cleaned, because the plan may come from elsewhere."""
 
     name: _Name
     matrix_text: str
@@ -227,10 +227,10 @@ _BODY: Final = TypeAdapter(_PlanBody)
 
 
 def plan_from_json(value: dict[str, Any]) -> Plan:
-    """The plan that `as_json` wrote, its texts fit to be shown. Raises ValueError or IndexError for anything else."""
+    """Read the plan that `as_json` wrote and clean its texts. Raises ValueError or IndexError for anything else."""
     body = _BODY.validate_python(value)
-    sequences = [_shown_sequence(entry) for entry in body.sequences]
-    settings = [_shown(setting) for setting in body.settings]
+    sequences = [_clean_sequence(entry) for entry in body.sequences]
+    settings = [_clean_setting(setting) for setting in body.settings]
     return Plan(
         name=body.name,
         matrix_text=clean_text(body.matrix_text),
@@ -257,15 +257,15 @@ def plan_from_json(value: dict[str, Any]) -> Plan:
     )
 
 
-def _shown_sequence(entry: SequenceEntry) -> SequenceEntry:
+def _clean_sequence(entry: SequenceEntry) -> SequenceEntry:
     notes = tuple(clean_line(note) for note in entry.notes)
-    return replace(entry, name=clean_line(entry.name), dataset=_shown(entry.dataset), notes=notes)
+    return replace(entry, name=clean_line(entry.name), dataset=_clean_setting(entry.dataset), notes=notes)
 
 
-def _shown(setting: PluginSetting) -> PluginSetting:
+def _clean_setting(setting: PluginSetting) -> PluginSetting:
     return replace(setting, name=clean_line(setting.name), label=clean_line(setting.label))
 
 
 def _json_from_setting(setting: PluginSetting) -> dict[str, Any]:
-    """The fields of a setting, without the copies that `asdict` makes of each value: plans have 100,000 of them."""
+    """Return the fields of a setting without `asdict`'s copy of each value: plans have 100,000 of them."""
     return {**vars(setting), "uses": [_json_from_setting(used) for used in setting.uses]}

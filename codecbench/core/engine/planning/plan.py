@@ -1,4 +1,4 @@
-"""From a matrix to a plan: open the sequences, cross settings with evaluators, and say what cannot be done."""
+"""Turn a matrix into a plan: open the sequences, cross settings with evaluators, and mark what cannot be computed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from codecbench.core.engine.planning.description import (
     Description,
     InvalidParams,
     describe,
-    sequence_described,
+    describe_sequence,
 )
 from codecbench.core.engine.planning.entry import Entry
 from codecbench.core.engine.planning.matrix import Matrix
@@ -24,48 +24,46 @@ from codecbench.core.engine.planning.search import ALL_REPEATS, PlanScope
 from codecbench.core.engine.plugins.registry import Registry, installed
 
 _OPENING = 10
-"""Opening a sequence may take so many times what other questions to a plugin may: it reads what is on disk."""
+"""Opening a sequence reads the disk, so it may take this many times longer than other questions to a plugin."""
 
 RECORD_FORMAT = 1
-"""Enters every identity: raised when the meaning of a record changes, so that old ones are recomputed."""
+"""Part of every identity. Raise it if the meaning of a record changes, so that old records are recomputed."""
 
 
 @dataclass(frozen=True)
 class _Side:
-    """A codec or evaluator setting beside what its plugin says of it, or why it cannot be used.
-
-    identities: what distinguishes it, without parameters at their default; one for each repeat of an evaluator.
-    searched: only a search may ask for it.
-    """
+    """A codec or evaluator setting with its plugin's description, or the reason why it cannot be used."""
 
     setting: PluginSetting
     identities: tuple[list[Any], ...]
+    """Identity without parameters at their default; one per repeat of an evaluator."""
     description: Description | None = None
     missing: str | None = None
     searched: bool = False
+    """Whether only a search may add it to the plan."""
 
 
 def make_plan(
     matrix: Matrix,
     registry: Registry | None = None,
     *,
-    extent: PlanScope | None = None,
+    scope: PlanScope | None = None,
     sequences: Sequence[SequenceEntry] = (),
 ) -> Plan:
-    """Everything that a matrix asks for, as far as it is asked for by now.
+    """Make the plan of what a matrix asks for so far.
 
-    Opens every sequence, so that a missing file is an error now and not in an hour. Combinations that
-    cannot be computed here become cells with the reason in `unsupported`. Raises MatrixError, with the
-    place in the file, for sequences that cannot be opened.
+    Opens every sequence, so that a missing file is an error now and not in an hour. Combinations that cannot be
+    computed here become cells with the reason in `unsupported`. Raises MatrixError, with the position in the file, for
+    sequences that cannot be opened.
 
-    extent: what belongs to the plan of settings that searches may try, and of repeats that are added as needed; by
-    default nothing of the first and all of the second. sequences: those of the matrix, where they were opened before.
+    scope: which settings of searches and which repeats belong to the plan; by default no searched settings and all
+    repeats. sequences: those of the matrix, if they were opened before.
     """
     registry = registry or installed()
-    extent = extent or PlanScope()
+    scope = scope or PlanScope()
     sequences = tuple(sequences) or tuple(_open_sequences(matrix, registry))
-    tried = {codec for _, codec, _ in extent.repeats}
-    codecs = [_codec_side(entry) for entry in matrix.codecs if entry.wanted is None or entry.setting in tried]
+    tried_settings = {codec for _, codec, _ in scope.repeats}
+    codecs = [_codec_side(entry) for entry in matrix.codecs if entry.search is None or entry.setting in tried_settings]
     evaluators = [_evaluator_side(entry, registry) for entry in matrix.evaluators]
     jobs: dict[str, CodingJob] = {}
     cells: dict[str, Cell] = {}
@@ -73,9 +71,9 @@ def make_plan(
         for codec in codecs:
             job = CodingJob(coding_id(sequence, codec.setting), sequence, codec.setting)
             for evaluator in evaluators:
-                of = sequence.name, codec.setting, evaluator.setting.title
-                repeats = extent.planned(*of, searched=codec.searched)
-                inputs = _inputs(evaluator, extent.inputs.get(of))
+                key = sequence.name, codec.setting, evaluator.setting.title
+                repeats = scope.planned(*key, searched=codec.searched)
+                inputs = _inputs(evaluator, scope.inputs.get(key))
                 if inputs is None and _unsupported(sequence, codec, evaluator) is None:
                     continue
                 for cell in islice(_cells(job, codec, evaluator, matrix.run.seed, inputs), repeats):
@@ -101,16 +99,16 @@ def make_plan(
 
 
 def _with_anchors(declared: dict[str, Any], name: str, anchors: tuple[str, ...] | None) -> dict[str, Any]:
-    """What a codec declares, but that the matrix says who is an anchor, where it does."""
+    """Return what a codec declares; if the matrix names anchors, they override its `reference`."""
     if anchors is None or declared.get("reference") == "baseline":
         return declared
     return {**declared, "reference": "anchor" if name in anchors else ""}
 
 
 def make_sampled_plan(matrix: Matrix) -> Plan:
-    """The plan with the first setting of each search under every evaluator, for who wants to know what a run calls.
+    """Make a plan with the first setting of each search under every evaluator, to show what a run calls.
 
-    What evaluators await is taken to be 0.
+    Values that evaluators require are set to 0.
     """
     plan = make_plan(matrix)
     titles = [entry.setting.title for entry in matrix.evaluators]
@@ -118,20 +116,20 @@ def make_sampled_plan(matrix: Matrix) -> Plan:
     sampled = {
         (entry.name, first, title): ALL_REPEATS for entry in plan.sequences for first in firsts for title in titles
     }
-    settings = [*(entry.setting for entry in matrix.codecs if entry.wanted is None), *firsts]
+    settings = [*(entry.setting for entry in matrix.codecs if entry.search is None), *firsts]
     inputs: dict[tuple[str, PluginSetting, str], dict[str, float] | str] = {
-        (entry.name, codec, awaiting.setting.title): dict.fromkeys(awaiting.requires, 0.0)
-        for entry in plan.sequences for codec in settings for awaiting in matrix.evaluators if awaiting.requires
+        (entry.name, codec, evaluator.setting.title): dict.fromkeys(evaluator.requires, 0.0)
+        for entry in plan.sequences for codec in settings for evaluator in matrix.evaluators if evaluator.requires
     }  # fmt: skip
-    extent = PlanScope(sampled, inputs=inputs)
-    return make_plan(matrix, extent=extent, sequences=plan.sequences) if sampled or inputs else plan
+    scope = PlanScope(sampled, inputs=inputs)
+    return make_plan(matrix, scope=scope, sequences=plan.sequences) if sampled or inputs else plan
 
 
 def coding_id(sequence: SequenceEntry, codec: PluginSetting) -> str:
-    """The identity of a sequence's bitstreams under a codec setting.
+    """Return the identity of a sequence's bitstreams under a codec setting.
 
-    All parameters enter it, those at their default too: no record beside a file of bitstreams says which they were,
-    so this name must, and a codec that gained a parameter encodes again when somebody asks for its bitstreams.
+    It includes all parameters, even those at their default: no record beside a bitstream file lists them, so its name
+    must. A codec that gains a parameter therefore encodes again.
     """
     setting = [codec.kind, codec.name, codec.version, codec.effective_params()]
     return digest(["coding", RECORD_FORMAT, sequence.fingerprint, setting])
@@ -142,7 +140,7 @@ def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
     entries: dict[str, SequenceEntry] = {}
     for entry in matrix.sequences:
         try:
-            sequence = _opened(entry, registry)
+            sequence = _open_sequence(entry, registry)
         except CodecbenchError as error:
             problems.add(entry.where, str(error))
             continue
@@ -160,49 +158,49 @@ def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
 
 
 def _reject_duplicate_fingerprints(entries: list[SequenceEntry]) -> list[SequenceEntry]:
-    """The entries, of which those of another distribution that pass for the frames of somebody else are shut."""
+    """Mark sequences of other distributions as unopened if they repeat another sequence's fingerprint."""
     owners: dict[str, SequenceEntry] = {}
     for entry in sorted(entries, key=lambda entry: bool(entry.dataset.distribution)):
         owners.setdefault(entry.fingerprint, entry)
     return [
         entry
         if owners[entry.fingerprint].dataset.distribution == entry.dataset.distribution
-        else _shut(
+        else _unopened_sequence(
             entry.dataset, f"{entry.dataset.full_name}: its fingerprint is that of {owners[entry.fingerprint].name}"
         )
         for entry in entries
     ]
 
 
-def _shut(dataset: PluginSetting, reason: str) -> SequenceEntry:
-    """A sequence that its plugin's fault keeps shut."""
+def _unopened_sequence(dataset: PluginSetting, reason: str) -> SequenceEntry:
+    """Return the entry of a sequence that could not be opened because of its plugin's fault."""
     fingerprint = digest(["never opened", dataset.name, dataset.params])
     return SequenceEntry(dataset.name, dataset, fingerprint, 0, 1, False, False, reason)
 
 
-def _opened(entry: Entry, registry: Registry) -> SequenceEntry:
-    """The sequence of an entry, by the name that it has itself; one that its plugin's fault keeps shut says why."""
+def _open_sequence(entry: Entry, registry: Registry) -> SequenceEntry:
+    """Open an entry's sequence under its own name; a plugin's fault is noted in `missing`."""
     setting, missing = entry.setting, entry.missing
     if missing is None:
         try:
-            found = registry.ask(
-                sequence_described, setting.name, setting.params, of=[("dataset", setting.name)], times=_OPENING
+            facts = registry.ask(
+                describe_sequence, setting.name, setting.params, of=[("dataset", setting.name)], times=_OPENING
             )
-            return SequenceEntry(dataset=setting, **{**found, "notes": tuple(found["notes"])})
+            return SequenceEntry(dataset=setting, **{**facts, "notes": tuple(facts["notes"])})
         except PluginFault as fault:
             missing = str(fault)
     elif not entry.faulty:
         raise Unsupported(missing)
-    return _shut(setting, missing)
+    return _unopened_sequence(setting, missing)
 
 
 def _codec_side(entry: Entry) -> _Side:
-    setting, description, searched = entry.setting, entry.description, entry.wanted is not None
-    named = [setting.kind, setting.name, setting.version]
+    setting, description, searched = entry.setting, entry.description, entry.search is not None
+    prefix = [setting.kind, setting.name, setting.version]
     if description is None:
-        return _Side(setting, ([*named, setting.params],), None, entry.missing, searched)
+        return _Side(setting, ([*prefix, setting.params],), None, entry.missing, searched)
     (identity,) = description.identities
-    return _Side(setting, ([*named, identity],), description, description.missing, searched)
+    return _Side(setting, ([*prefix, identity],), description, description.missing, searched)
 
 
 def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
@@ -210,7 +208,7 @@ def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
     missing = entry.missing if description is None else description.missing
     if description is None or missing is not None:
         return _Side(setting, ([setting.name, setting.version, setting.params, 0, []],), None, missing)
-    used = [_used(*use, registry) for use in description.uses]
+    used = [_used_plugin(*use, registry) for use in description.uses]
     identities = [
         [setting.name, setting.version, of_repeat, repeat, [identity for _, identity, _ in used]]
         for repeat, of_repeat in enumerate(description.identities)
@@ -221,10 +219,10 @@ def _evaluator_side(entry: Entry, registry: Registry) -> _Side:
     return _Side(setting, tuple(identities), description, next(reasons, None))
 
 
-def _used(
+def _used_plugin(
     kind: Kind, name: str, params: dict[str, Any], registry: Registry
 ) -> tuple[PluginSetting, list[Any], str | None]:
-    """A plugin that an evaluator runs, its identity, which has no version where it is not there, and why not."""
+    """Return a plugin that an evaluator runs, its identity, and why it is unavailable; then it has no version."""
     try:
         plugin, description = registry.find(kind, name), describe(registry, kind, name, params)
     except (Unsupported, PluginError, InvalidParams) as error:
@@ -233,9 +231,9 @@ def _used(
     return setting, [kind, name, description.version, description.identities[0]], description.missing
 
 
-def _inputs(evaluator: _Side, found: dict[str, float] | str | None) -> dict[str, float] | str | None:
-    """What the cells of an evaluator have been waiting for, or why it never comes; None while it is not there."""
-    return found if evaluator.description is not None and evaluator.description.requires else {}
+def _inputs(evaluator: _Side, inputs: dict[str, float] | str | None) -> dict[str, float] | str | None:
+    """Return the inputs of an evaluator's cells, or why they will never be available; None while they are pending."""
+    return inputs if evaluator.description is not None and evaluator.description.requires else {}
 
 
 def _cells(
@@ -261,7 +259,7 @@ def _cells(
 
 
 def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side) -> str | None:
-    """Why this combination cannot be computed here, or None."""
+    """Return why this combination cannot be computed here, or None."""
     if sequence.missing is not None:
         return sequence.missing
     if codec.description is None or codec.missing is not None:
@@ -270,8 +268,8 @@ def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side) -> str
         return evaluator.missing
     allowed = codec.description.channels
     if sequence.channels not in allowed:
-        wanted = " or ".join("gray" if count == 1 else "colour" for count in allowed)
-        return f"codec {codec.setting.name} takes {wanted} frames; {sequence.name} has {sequence.channels} channel(s)"
+        accepted = " or ".join("gray" if count == 1 else "colour" for count in allowed)
+        return f"codec {codec.setting.name} takes {accepted} frames; {sequence.name} has {sequence.channels} channel(s)"
     if "camera" in evaluator.description.needs and not sequence.has_camera:
         return f"evaluator {evaluator.setting.name} needs a calibrated camera; {sequence.name} has none"
     if "ground_truth" in evaluator.description.needs and not sequence.has_ground_truth:

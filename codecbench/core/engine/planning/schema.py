@@ -1,4 +1,4 @@
-"""JSON Schema of matrices and of plugins' parameters, for editors and for people."""
+"""JSON Schema of matrices and of plugin parameters, for editors and for people."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ _AT: Final = {
 
 
 def plugin_schema(registry: Registry, name: str) -> dict[str, Any]:
-    """The schema of one plugin's parameters; `name` is NAME or KIND:NAME. Raises PluginError for an unknown name."""
-    wanted, _, bare = name.rpartition(":")
-    kinds = [kind for kind in KINDS if wanted in ("", kind)]
-    found = [plugin for kind in kinds for plugin in registry.plugins(kind) if plugin.spec.name == bare]
-    if len(found) == 1:
-        schema: dict[str, Any] = _params_schema(registry, found[0])
+    """Return the schema of one plugin's parameters. name: NAME or KIND:NAME. Raises PluginError if it is unknown."""
+    kind_name, _, bare = name.rpartition(":")
+    kinds = [kind for kind in KINDS if kind_name in ("", kind)]
+    matches = [plugin for kind in kinds for plugin in registry.plugins(kind) if plugin.spec.name == bare]
+    if len(matches) == 1:
+        schema: dict[str, Any] = _params_schema(registry, matches[0])
         return schema
-    if found:
-        choices = ", ".join(f"{plugin.kind}:{bare}" for plugin in found)
+    if matches:
+        choices = ", ".join(f"{plugin.kind}:{bare}" for plugin in matches)
         raise PluginError(f"several plugins are called {bare!r}; say which: {choices}")
     names = [plugin.spec.name for kind in kinds for plugin in registry.plugins(kind)]
-    near = difflib.get_close_matches(bare, names, n=1)
-    meant = f"did you mean {near[0]!r}?" if near else "see codecbench list"
-    raise PluginError(f"no plugin is called {name!r}; {meant}")
+    nearest = difflib.get_close_matches(bare, names, n=1)
+    hint = f"did you mean {nearest[0]!r}?" if nearest else "see codecbench list"
+    raise PluginError(f"no plugin is called {name!r}; {hint}")
 
 
 def matrix_schema(registry: Registry) -> dict[str, Any]:
-    """The schema of a whole matrix with everything that is installed."""
+    """Return the schema of a whole matrix with everything that is installed."""
     sections: dict[str, Kind] = {"sequences": "dataset", "codecs": "codec", "evaluators": "evaluator"}
     definitions: dict[str, Any] = {}
     properties: dict[str, Any] = {
@@ -95,24 +95,24 @@ def _choices(registry: Registry, kind: Kind, definitions: dict[str, Any]) -> lis
 
 
 def _params_schema(registry: Registry, plugin: Plugin) -> dict[str, Any]:
-    asked = plugin.kind, plugin.spec.name
-    schema: dict[str, Any] = registry.ask(params_schema, *asked, of=[asked])
+    plugin_key = plugin.kind, plugin.spec.name
+    schema: dict[str, Any] = registry.ask(params_schema, *plugin_key, of=[plugin_key])
     return schema
 
 
 def params_schema(registry: Registry, kind: Kind, name: str) -> dict[str, Any]:
-    """The JSON Schema of a plugin's parameters."""
+    """Return the JSON Schema of a plugin's parameters."""
     schema: dict[str, Any] = registry.load(kind, name).params_type.model_json_schema()
     return schema
 
 
 def _or_axis(value: Any) -> dict[str, Any]:
-    """The schema of a value, or of an axis of such values."""
-    described = {key: value.pop(key) for key in ("title", "description", "default") if key in value}
+    """Return the schema of a value or of an axis of such values."""
+    annotations = {key: value.pop(key) for key in ("title", "description", "default") if key in value}
     grid = {"type": "array", "minItems": 1, "items": value}
     steps = {"type": "array", "minItems": 2, "maxItems": 3, "items": {"type": "number"}}
     axes = [
         {"type": "object", "properties": {word: choices}, "required": [word], "additionalProperties": False}
         for word, choices in (("grid", grid), ("range", steps))
     ]
-    return {**described, "anyOf": [value, *axes]}
+    return {**annotations, "anyOf": [value, *axes]}

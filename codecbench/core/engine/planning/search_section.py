@@ -1,4 +1,4 @@
-"""What a matrix says of a metric and its value, as it is written: before the metric is looked up."""
+"""The sections of a matrix that name a metric and a target value, before the metric is resolved."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, StrictFloat, StrictInt, ValidationError, model_validator
 
 from codecbench.core.engine.planning.axes import Axis
-from codecbench.core.engine.planning.yaml_file import Problems, Where, plain, shown
+from codecbench.core.engine.planning.yaml_file import Problems, Where, format_value, plain_value
 
 Bound = Literal["min", "max", "equal"]
 
 _BOUNDS: Final[tuple[Bound, ...]] = ("min", "max", "equal")
 _Number = Annotated[StrictInt | StrictFloat, Field(allow_inf_nan=False)]
 PASSES: Final = "passes"
-"""A search for the coarsest setting that passes what is asked of the run."""
+"""Value of `search` that asks for the coarsest setting that passes what is asked of the run."""
 _MISSING_EXTRA: Final = "a search over several parameters needs optuna; run: pip install 'codecbench[search]'"
 
 
@@ -53,45 +53,46 @@ class SearchSection(ObjectiveSection):
 
 @dataclass(frozen=True)
 class SearchSpec:
-    """The `search` or `at` of an entry, before its metric is looked up. where: in the file. section: None where the
-    setting is sought that passes."""
+    """The `search` or `at` of an entry, before its metric is resolved."""
 
     where: Where
+    """Position in the file."""
     section: SearchSection | None
+    """None if the search is for a setting that passes."""
     axes: tuple[Axis, ...]
 
 
 def read_section(kind: type[Any], value: Any, where: Where, problems: Problems) -> Any:
-    """A section as its model; None, and problems, where it is not one."""
+    """Validate a section as its model; if it is invalid, note problems and return None."""
     if not isinstance(value, Mapping):
         example = "{metric: NAME, min: NUMBER}" if where[-1] != "at" else "{METRIC: NUMBER}"
         example += f", or {PASSES}" if where[-1] == "search" else ""
-        problems.add(where, f"must be a mapping such as {example}; got {plain(value)}")
+        problems.add(where, f"must be a mapping such as {example}; got {plain_value(value)}")
         return None
     problems.unknown(where, value, kind.model_fields)
     if any(key not in kind.model_fields for key in value):
         return None
     try:
-        return kind.model_validate(plain(value))
+        return kind.model_validate(plain_value(value))
     except ValidationError as error:
         for detail in error.errors():
             message = str(detail["msg"]).removeprefix("Value error, ")
-            got = "" if isinstance(detail["input"], Mapping) else f"; got {shown(detail['input'])}"
-            known = [part for part in detail["loc"] if part in kind.model_fields]
-            problems.add((*where, *known), message + got)
+            suffix = "" if isinstance(detail["input"], Mapping) else f"; got {format_value(detail['input'])}"
+            path = [part for part in detail["loc"] if part in kind.model_fields]
+            problems.add((*where, *path), message + suffix)
         return None
 
 
 def read_search_spec(
     item: Mapping[str, Any], where: Where, axes: Sequence[Axis], problems: Problems
 ) -> SearchSpec | None:
-    """What a codec entry with `search` or `at` asks for; None, and a problem, where that cannot be."""
+    """Read the `search` or `at` of a codec entry; if it is invalid, note a problem and return None."""
     word = "search" if "search" in item else "at"
     place = (*where, word)
     if "search" in item and "at" in item:
         problems.add((*where, "at"), "is short for a search, and there is one; leave out one of the two")
         return None
-    value = _spelled_out(item[word]) if word == "at" else item[word]
+    value = _from_short_form(item[word]) if word == "at" else item[word]
     passes = word == "search" and value == PASSES
     section = None if passes else read_section(SearchSection, value, place, problems)
     varied = tuple(axis for axis in axes if len(axis) > 1)
@@ -109,16 +110,16 @@ def read_search_spec(
     return None if section is None and not passes else SearchSpec(place, section, varied)
 
 
-def _spelled_out(value: Any) -> Any:
-    """`{rate_bpp: 0.5}` as `{metric: rate_bpp, equal: 0.5}`."""
+def _from_short_form(value: Any) -> Any:
+    """Convert `{rate_bpp: 0.5}` to `{metric: rate_bpp, equal: 0.5}`."""
     if isinstance(value, Mapping) and len(value) == 1:
         ((metric, number),) = value.items()
         return {"metric": metric, "equal": number}
-    return shown(value)
+    return format_value(value)
 
 
 def _require_ordered(axis: Axis, where: Where, problems: Problems) -> None:
-    """Note a problem with numbers that neither rise nor fall, and with values that come twice."""
+    """Note a problem if the numbers are not monotonic or a value occurs twice."""
     values = [value for _, value in axis.choices]
     numbers = [value for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
     steps = list(pairwise(numbers))

@@ -1,10 +1,13 @@
-"""Which code a plugin is made of, as a fingerprint: it changes with an edit, whether or not a version was raised.
+"""Fingerprint a plugin's code: it changes with every edit, whether or not a version was raised.
 
-Of another distribution that was installed as copied files, its version and what its RECORD lists. Of one that is loaded
-from where it is written (editable, or found on the path) the files of the package that the plugin is in, and the
-modules beside it that the plugin's imports lead to. Of our own, the modules outside the core that the plugin's imports
-lead to: what the core does to results is in every identity (`RECORD_FORMAT`), and an edit of one codec says nothing
-about another. Nothing is imported.
+Nothing is imported. The fingerprint depends on how the plugin was installed:
+
+    another distribution, copied files   its version and its RECORD
+    another distribution, from source    the files of the plugin's package, and modules beside it that it imports
+    codecbench's own plugin              the modules outside the core that it imports
+
+Imports count directly or not. The core's effect on results is in every identity (`RECORD_FORMAT`), and an edit of one
+codec does not concern another.
 """
 
 from __future__ import annotations
@@ -29,74 +32,74 @@ from codecbench.core.engine.plugins.plugin import OURS, Plugin, module_spec
 _CORE: Final = f"{OURS}.core"
 _COMPILED: Final = (".pyc", ".pyo", ".nbi", ".nbc")
 _LISTS: Final = ("kernels.json",)
-"""What is compiled ahead: it changes when something is compiled, not what."""
+"""Lists of what is compiled ahead, which change when something is compiled."""
 _SHARED_FOLDERS: Final = ("site-packages", "dist-packages")
-"""What pip installs into: what lies beside a package there is of other distributions."""
+"""Folders that pip installs into: other modules there belong to other distributions."""
 _LARGE_BYTES: Final = 16 << 20
-"""Larger files, such as weights, count by size and time of writing."""
+"""Larger files, such as weights, are fingerprinted by size and modification time."""
 
 
 def code_label(kind: Kind, name: str) -> str:
-    """What the code of a plugin is called in records: `codec jpeg`."""
+    """Return the label of a plugin's code in records: `codec jpeg`."""
     return f"{kind} {name}"
 
 
 def code_of(plugin: Plugin) -> str:
-    """The plugin's distribution with its version, and the fingerprint; empty where its code is not found."""
-    found = fingerprint(plugin.foreign, _module(plugin))
-    return f"{plugin.distribution} {found}" if found else ""
+    """Return the plugin's distribution with its version, and the fingerprint; empty if its code is not found."""
+    code_fingerprint = fingerprint(plugin.foreign, _module(plugin))
+    return f"{plugin.distribution} {code_fingerprint}" if code_fingerprint else ""
 
 
 def code_digest(code: dict[str, str]) -> str:
-    """A digest of the fingerprints of several plugins by label, without versions; empty where there are none."""
+    """Digest the fingerprints of several plugins by label, without versions; empty if there are none."""
     return digest({label: fingerprint.rpartition(" ")[2] for label, fingerprint in code.items()}) if code else ""
 
 
 def files_since(plugin: Plugin, time_s: float) -> list[str]:
-    """Names of the plugin's files that were written after `time_s`, in seconds since 1970."""
-    found = []
-    for path in () if _released(plugin.foreign) else _files(plugin.foreign, _module(plugin)):
+    """Return names of the plugin's files that were modified after `time_s`, in seconds since 1970."""
+    names = []
+    for path in () if _installed_copy(plugin.foreign) else _files(plugin.foreign, _module(plugin)):
         with suppress(OSError):
             if path.stat().st_mtime > time_s:
-                found.append(path.name)
-    return sorted(found)
+                names.append(path.name)
+    return sorted(names)
 
 
 def fingerprint(foreign: str, module: str) -> str:
-    """That of the code of a module; empty where it is not found. foreign: its distribution, empty for codecbench."""
-    installed = _released(foreign)
+    """Fingerprint a module's code; empty if it is not found. foreign: its distribution, empty for codecbench."""
+    installed = _installed_copy(foreign)
     if installed is not None:
-        return digest([installed.version, sorted(_recorded(installed))])[:16]
+        return digest([installed.version, sorted(_record_lines(installed))])[:16]
     content = hashlib.blake2b(digest_size=8)
-    found = False
+    has_files = False
     for path in _files(foreign, module):
-        with suppress(OSError):  # it is being replaced; the next look finds it
+        with suppress(OSError):  # it is being replaced; the next call sees it
             state = path.stat()
             content.update(f"{path.name} {_file_digest(path, state.st_size, state.st_mtime_ns)}\n".encode())
-            found = True
-    return content.hexdigest() if found else ""
+            has_files = True
+    return content.hexdigest() if has_files else ""
 
 
 def _module(plugin: Plugin) -> str:
     return plugin.spec.target.partition(":")[0]
 
 
-def _released(foreign: str) -> Distribution | None:
-    """A distribution of others whose files were copied when it was installed; None for all others."""
+def _installed_copy(foreign: str) -> Distribution | None:
+    """Return another distribution if its files were copied at installation; otherwise None."""
     if not foreign:
         return None
     try:
-        found = distribution(foreign.partition(" ")[0])
+        installed = distribution(foreign.partition(" ")[0])
     except (PackageNotFoundError, ValueError):
         return None
     with suppress(ValueError, AttributeError):
-        if json.loads(found.read_text("direct_url.json") or "{}").get("dir_info", {}).get("editable"):
+        if json.loads(installed.read_text("direct_url.json") or "{}").get("dir_info", {}).get("editable"):
             return None
-    return found if any(_recorded(found)) else None
+    return installed if any(_record_lines(installed)) else None
 
 
-def _recorded(installed: Distribution) -> Iterator[str]:
-    """Lines of its RECORD, path and hash, of the files of its packages."""
+def _record_lines(installed: Distribution) -> Iterator[str]:
+    """Yield the lines of its RECORD, path and hash, for the files of its packages."""
     for line in (installed.read_text("RECORD") or "").splitlines():
         path = line.partition(",")[0].strip('"')
         if ".dist-info/" not in path and not path.startswith(("..", "/")) and not path.endswith((*_COMPILED, ".pth")):
@@ -104,25 +107,27 @@ def _recorded(installed: Distribution) -> Iterator[str]:
 
 
 def _files(foreign: str, module: str) -> list[Path]:
-    """The files that the code of a module is in, in order."""
-    found = _place(module)
-    if found is None:
+    """Return the files that contain the code of a module, sorted."""
+    location = _package_location(module)
+    if location is None:
         return []
-    place, top = found
+    package, top = location
     if not foreign:
-        return sorted(_led_to(module, top, _outside_core))
-    files = {place} if place.is_file() else set(_files_below(place))
-    return sorted(files if top.name in _SHARED_FOLDERS else files | _led_to(module, top, _outside_codecbench))
+        return sorted(_imported_files(module, top, _outside_core))
+    files = {package} if package.is_file() else set(_files_below(package))
+    return sorted(files if top.name in _SHARED_FOLDERS else files | _imported_files(module, top, _outside_codecbench))
 
 
-def _place(module: str) -> tuple[Path, Path] | None:
-    """The folder or file of the package that a module is in, the first below those that distributions share, and the
-    folder on the path that it was found in."""
+def _package_location(module: str) -> tuple[Path, Path] | None:
+    """Return the folder or file of the package that a module is in, and the folder on the path in which it was found.
+
+    The package is the topmost one below namespace packages, which distributions share.
+    """
     with suppress(IndexError):
         spec = module_spec(module, to_first_file=True)
         if spec is not None:
-            place = Path(next(iter(spec.submodule_search_locations or ()), spec.origin or ""))
-            return place, place.parents[spec.name.count(".")]
+            folder = Path(next(iter(spec.submodule_search_locations or ()), spec.origin or ""))
+            return folder, folder.parents[spec.name.count(".")]
     return None
 
 
@@ -134,23 +139,23 @@ def _files_below(folder: Path) -> Iterator[Path]:
                 yield Path(parent, name)
 
 
-def _led_to(module: str, top: Path, counted: Callable[[Iterable[str]], Iterable[str]]) -> set[Path]:
-    """The files of a module, of those in the folder `top` that it leads to, and the data beside them in packages.
+def _imported_files(module: str, top: Path, select: Callable[[Iterable[str]], Iterable[str]]) -> set[Path]:
+    """Return the files of a module and of those in the folder `top` that it imports, directly or not.
 
-    counted: which of the names that a module imports count.
+    Data files beside them in packages are included. select: filters the imported names.
     """
-    waiting, found = [*counted([module])], set()
+    waiting, files = [*select([module])], set()
     while waiting:
         path = _module_file(waiting.pop(), top)
-        if path is None or path in found:
+        if path is None or path in files:
             continue
-        found.add(path)
+        files.add(path)
         with suppress(OSError):
             state = path.stat()
             package = ".".join(path.relative_to(top).parent.parts)
-            waiting += counted(_imports(path, package, state.st_size, state.st_mtime_ns))
-    data = (other for folder in {path.parent for path in found} - {top} for other in folder.iterdir())
-    return found | {path for path in data if path.is_file() and _is_data(path)}
+            waiting += select(_imports(path, package, state.st_size, state.st_mtime_ns))
+    data = (other for folder in {path.parent for path in files} - {top} for other in folder.iterdir())
+    return files | {path for path in data if path.is_file() and _is_data(path)}
 
 
 def _is_data(path: Path) -> bool:
@@ -164,9 +169,9 @@ def _module_file(module: str, top: Path) -> Path | None:
 
 @functools.cache
 def _imports(path: Path, package: str, size: int, written_ns: int) -> tuple[str, ...]:
-    """What a file in a package, of this size and time, imports: modules, and names that may be some."""
+    """Return the names that a file imports: modules, and names that may be modules. Cached by size and time."""
     names: list[str] = []
-    with suppress(SyntaxError, ValueError, RecursionError, ImportError):  # of others, and nothing to run
+    with suppress(SyntaxError, ValueError, RecursionError, ImportError):  # foreign files may be invalid
         for node in ast.walk(ast.parse(path.read_bytes())):
             if isinstance(node, ast.Import):
                 names += [alias.name for alias in node.names]
@@ -181,7 +186,7 @@ def _outside_core(names: Iterable[str]) -> Iterator[str]:
 
 
 def _outside_codecbench(names: Iterable[str]) -> Iterator[str]:
-    """Names of others, each after the packages that it is in, which are imported too."""
+    """Yield names of other distributions, each after its parent packages, which are imported too."""
     for name in names:
         if name.partition(".")[0] != OURS:
             yield from accumulate(name.split("."), "{}.{}".format)

@@ -1,4 +1,4 @@
-"""What distributions offer, as data: told by their hosts, and remembered by what is in their files."""
+"""What distributions offer, as data: reported by their hosts, and cached by a digest of their files."""
 
 from __future__ import annotations
 
@@ -24,40 +24,40 @@ _ASKED: Final = "codecbench.core.engine.plugins.serving:offers"
 
 @dataclass(frozen=True)
 class Offers:
-    """The plugins of a distribution, each with the name of its entry point, and what is wrong with others."""
+    """The plugins of a distribution, each with the name of its entry point, and the problems of others."""
 
     plugins: list[tuple[Plugin, str]]
     problems: list[Problem]
 
 
-def remembered_offers(origin: str, points: list[EntryPoint]) -> Offers | None:
-    """What a distribution offered when its files were what they are now, or None. points: its entry points."""
+def cached_offers(origin: str, points: list[EntryPoint]) -> Offers | None:
+    """Return what a distribution offered if its files have not changed, otherwise None. points: its entry points."""
     with suppress(OSError, ValueError, LookupError, TypeError, PluginError):
-        kept = json.loads(_file(origin).read_bytes())
-        if kept["files"] == _files(origin, points):
-            return _told(origin, kept["offers"])
+        cache = json.loads(_cache_file(origin).read_bytes())
+        if cache["files"] == _files_digest(origin, points):
+            return _parse_offers(origin, cache["offers"])
     return None
 
 
-def asked_offers(host: Host, points: list[EntryPoint]) -> Offers:
-    """What a distribution offers as its host tells it, which is remembered where nothing is wrong with it.
+def ask_offers(host: Host, points: list[EntryPoint]) -> Offers:
+    """Ask a distribution's host what it offers, and cache the answer if there is no problem.
 
-    Something that nobody can read is one of its problems.
+    An unreadable answer becomes one of its problems.
     """
-    origin, files = host.distribution, _files(host.distribution, points)
+    origin, files = host.distribution, _files_digest(host.distribution, points)
     try:
         value = host.ask(_ASKED)
-        offers = _told(origin, value)
+        offers = _parse_offers(origin, value)
     except CodecbenchError as error:
         reason = f"its entry points cannot be read: {' '.join(str(error).split())}"
         return Offers([], [Problem(origin, GROUP, reason, nameless=True)])
     if files is not None and not offers.problems:
-        _remember(_file(origin), {"files": files, "offers": value})
+        _write_cache(_cache_file(origin), {"files": files, "offers": value})
     return offers
 
 
-def _told(origin: str, value: Any) -> Offers:
-    """Raises PluginError for what no host of ours tells: the distribution's code ran there, too."""
+def _parse_offers(origin: str, value: Any) -> Offers:
+    """Parse a host's answer. Raises PluginError if it is malformed: the distribution's code runs there too."""
     plugins: list[tuple[Plugin, str]] = []
     try:
         problems = [
@@ -74,18 +74,18 @@ def _told(origin: str, value: Any) -> Offers:
     return Offers(plugins, problems)
 
 
-def _files(origin: str, points: list[EntryPoint]) -> str | None:
-    """A digest of what decides what a distribution offers; None where its code is not found."""
+def _files_digest(origin: str, points: list[EntryPoint]) -> str | None:
+    """Return a digest of everything that determines a distribution's offers; None if its code is not found."""
     codes = [(point.name, point.value, fingerprint(origin, point.module)) for point in points]
     return digest([sys.version, codes]) if all(code for *_, code in codes) else None
 
 
-def _file(origin: str) -> Path:
+def _cache_file(origin: str) -> Path:
     return cache_folder() / "offers" / f"{digest([sys.prefix, origin.partition(' ')[0]])}.json"
 
 
-def _remember(file: Path, value: dict[str, Any]) -> None:
-    with suppress(OSError, TypeError, ValueError):  # of what JSON cannot hold; it is asked again
+def _write_cache(file: Path, value: dict[str, Any]) -> None:
+    with suppress(OSError, TypeError, ValueError):  # if it cannot be written, the host is asked again
         file.parent.mkdir(parents=True, exist_ok=True)
         new = file.with_suffix(f".{os.getpid()}")
         new.write_text(json.dumps(value), encoding="utf-8")

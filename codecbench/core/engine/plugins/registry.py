@@ -1,8 +1,8 @@
-"""Which plugins are installed, what they are called, and how a name becomes a class.
+"""The registry of installed plugins: what they are called, and how a name becomes a class.
 
-Listing imports hook modules only, and those of other distributions than codecbench's in host processes. A
-distribution that fails to import, exits, hangs, misspells a hook or offers a name that is taken is reported by name and
-version, and takes nobody down with it.
+Listing imports only hook modules, and those of other distributions in host processes. If a distribution fails to
+import, exits, hangs, misspells a hook or offers a name that is taken, it is reported by name and version, and nothing
+else is affected.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import pluggy
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
-from codecbench.core.engine.hosting.confinement import paths_named
+from codecbench.core.engine.hosting.confinement import paths_in
 from codecbench.core.engine.hosting.host import (
     HOSTED_VARIABLE,
     Host,
@@ -30,87 +30,87 @@ from codecbench.core.engine.hosting.host import (
     PluginLoss,
     PluginTimeout,
 )
-from codecbench.core.engine.plugins.entry_points import origin_of, own_first, points_by_origin
-from codecbench.core.engine.plugins.loading import load_class
-from codecbench.core.engine.plugins.offers import Offers, asked_offers, remembered_offers
-from codecbench.core.engine.plugins.plugin import OURS, Plugin, Problem, fault_of, spoken
+from codecbench.core.engine.plugins.entry_points import origin_of, own_plugins_first, points_by_origin
+from codecbench.core.engine.plugins.offers import Offers, ask_offers, cached_offers
+from codecbench.core.engine.plugins.plugin import OURS, Plugin, Problem, fault_of, kind_title, load_class
 from codecbench.core.engine.text import describe_error
 
-_CALLED = "codecbench.core.engine.plugins.serving:called"
+_CALLED = "codecbench.core.engine.plugins.serving:call_function"
 _AT_ONCE = os.cpu_count() or 1
-"""So many distributions are asked at once what they offer."""
+"""Maximum number of distributions that are asked at once what they offer."""
 _MOST_PLUGINS = 1000
-"""Of one kind from one hook."""
+"""Maximum number of plugins of one kind from one hook."""
 _MOST_LOSSES = 3
-"""A plugin that has ended so many hosts, or kept one waiting for too long, is not asked again."""
+"""A plugin is not asked again after it has ended this many hosts, or after one timeout."""
 
 
 class Registry:
-    """All plugins that were found, by kind and name; `problems` lists those that were not taken.
+    """All plugins, by kind and name; `problems` lists the rejected ones.
 
-    points: imported in this process. hosted: those of other distributions, whose plugins are imported in hosts.
+    points: entry points to import into this process. hosted: those of other distributions, whose plugins are imported
+    in hosts.
     """
 
     def __init__(
         self, points: Iterable[EntryPoint], hosted: Mapping[str, list[EntryPoint]] = MappingProxyType({})
     ) -> None:
         self.problems: list[Problem] = []
-        self.told: dict[str, Any] = {}
-        """What hosted plugins said of settings, see `planning.describe`."""
+        self.answers: dict[str, Any] = {}
+        """Descriptions of settings by hosted plugins, see `planning.description.describe`."""
         self._plugins: dict[tuple[Kind, str], Plugin] = {}
         self._entry_points: dict[tuple[Kind, str], str] = {}
         self._classes: dict[tuple[Kind, str], Any] = {}
         self._losses: Counter[str] = Counter()
         self._given_up: dict[str, str] = {}
         self._hosts = {origin: Host(origin) for origin in hosted}
-        known = {origin: remembered_offers(origin, hosted[origin]) for origin in sorted(hosted)}
-        asked = [self._hosts[origin] for origin, offers in known.items() if offers is None]
-        for host in asked[:_AT_ONCE]:
-            host.start()  # while our own are read
-        for point in sorted(points, key=own_first):
+        offers_by_origin = {origin: cached_offers(origin, hosted[origin]) for origin in sorted(hosted)}
+        unknown = [self._hosts[origin] for origin, offers in offers_by_origin.items() if offers is None]
+        for host in unknown[:_AT_ONCE]:
+            host.start()  # they start while codecbench's own plugins are read
+        for point in sorted(points, key=own_plugins_first):
             self._admit(point)
-        if asked:
-            from concurrent.futures import ThreadPoolExecutor  # which takes some milliseconds
+        if unknown:
+            from concurrent.futures import ThreadPoolExecutor  # slow import: some milliseconds
 
             with ThreadPoolExecutor(_AT_ONCE) as pool:
-                answers = pool.map(lambda host: asked_offers(host, hosted[host.distribution]), asked)
-                known |= zip((host.distribution for host in asked), answers, strict=True)
-        for offers in filter(None, known.values()):
+                new_offers = pool.map(lambda host: ask_offers(host, hosted[host.distribution]), unknown)
+                offers_by_origin |= zip((host.distribution for host in unknown), new_offers, strict=True)
+        for offers in filter(None, offers_by_origin.values()):
             self._admit_hosted(offers)
         for origin in self._hosts.keys() - {plugin.distribution for plugin in self._plugins.values()}:
             self._hosts.pop(origin).end()
 
     def plugins(self, kind: Kind) -> list[Plugin]:
-        """Plugins of a kind in the order in which they were offered."""
+        """Return the plugins of a kind in the order in which they were offered."""
         return [plugin for (of_kind, _), plugin in self._plugins.items() if of_kind == kind]
 
     def find(self, kind: Kind, name: str) -> Plugin:
-        """The plugin of that name. Raises PluginError with the nearest names where there is none."""
+        """Return a plugin by name. Raises PluginError with the nearest names if there is none."""
         plugin = self._plugins.get((kind, name))
         if plugin is None:
-            raise PluginError(f"no {spoken(kind)} is called {name!r}; {self.suggestion(kind, name)}")
+            raise PluginError(f"no {kind_title(kind)} is called {name!r}; {self.suggestion(kind, name)}")
         return plugin
 
     def maybe_broken(self, kind: Kind, name: str) -> str | None:
-        """Why a name is unknown that may be of a distribution which never said its names; None for any other name."""
+        """Explain an unknown name that may belong to a distribution whose names are unknown; otherwise None."""
         nameless = [str(problem) for problem in self.problems if problem.nameless]
         names = [plugin.spec.name for plugin in self.plugins(kind)]
         if not nameless or difflib.get_close_matches(name, names, n=1):
             return None
-        return f"no {spoken(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
+        return f"no {kind_title(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
 
     def suggestion(self, kind: Kind, name: str) -> str:
-        """What the writer of an unknown name may have meant."""
+        """Return what the writer of an unknown name may have meant."""
         names = [plugin.spec.name for plugin in self.plugins(kind)]
-        near = difflib.get_close_matches(name, names, n=1)
-        meant = f"did you mean {near[0]!r}? " if near else ""
-        return f"{meant}installed: {', '.join(names) or 'none'}"
+        nearest = difflib.get_close_matches(name, names, n=1)
+        hint = f"did you mean {nearest[0]!r}? " if nearest else ""
+        return f"{hint}installed: {', '.join(names) or 'none'}"
 
     def load(self, kind: Kind, name: str) -> Any:
-        """The class behind a name, imported into this process now; see `ask` for what other distributions offer.
+        """Import the class behind a name into this process; for other distributions' plugins see `ask`.
 
-        Raises PluginError where there is no such plugin, its module fails to import or it breaks the
-        contract, and Unsupported, with the command that mends it, where it needs something not installed.
+        Raises PluginError if there is no such plugin, its module fails to import or it violates its contract. Raises
+        Unsupported, with the command to install it, if a requirement is missing.
         """
         plugin = self.find(kind, name)
         if (missing := plugin.missing) is not None:
@@ -120,21 +120,21 @@ class Registry:
         return self._classes[kind, name]
 
     def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
-        """An instance with these parameters, which are validated (pydantic.ValidationError)."""
+        """Create an instance with these parameters, which are validated (pydantic.ValidationError)."""
         cls = self.load(kind, name)
         return cls(cls.params_type.model_validate(params))
 
     def entry_point(self, plugin: Plugin) -> str:
-        """The name of the entry point that offered a plugin."""
+        """Return the name of the entry point that offered a plugin."""
         return self._entry_points[plugin.kind, plugin.spec.name]
 
     def ask(
         self, function: Callable[..., Any], *arguments: Any, of: Sequence[tuple[Kind, str]], times: float = 1
     ) -> Any:
-        """What `function(registry, *arguments)` returns of this plugin: JSON types.
+        """Return `function(registry, *arguments)`, JSON types, for this plugin.
 
-        Where it is of another distribution it is called in a host process and may take `times` the usual limit.
-        Raises what the function raises, and PluginFault, which names the plugin, where a hosted one fails otherwise.
+        For another distribution's plugin it is called in a host process and may take `times` the usual limit. Raises
+        what the function raises, and PluginFault, which names the plugin, if a hosted one fails otherwise.
         """
         ((kind, name),) = of
         plugin = self.find(kind, name)
@@ -143,10 +143,10 @@ class Registry:
         title = plugin.title
         if title in self._given_up:
             raise PluginFault(self._given_up[title])
-        asked = f"{function.__module__}:{function.__qualname__}"
+        qualified_name = f"{function.__module__}:{function.__qualname__}"
         try:
-            shows = paths_named(arguments) if kind == "dataset" else ()
-            return self._hosts[plugin.distribution].ask(_CALLED, asked, *arguments, times=times, shows=shows)
+            shows = paths_in(arguments) if kind == "dataset" else ()
+            return self._hosts[plugin.distribution].ask(_CALLED, qualified_name, *arguments, times=times, shows=shows)
         except PluginFault as fault:
             text = str(fault)
             message = " ".join((text if title in text else f"{title}: {text}").split())
@@ -165,30 +165,30 @@ class Registry:
         origin = origin_of(point)
         try:
             module = importlib.import_module(point.module)
-        except Exception as error:  # noqa: BLE001 - a stranger's module may raise anything
+        except Exception as error:  # noqa: BLE001 - foreign modules may raise anything
             reason = f"{point.module} does not import: {describe_error(error)}"
             self._report(origin, point, reason, nameless=True)
             return
         manager = pluggy.PluginManager(hooks.GROUP)
         manager.add_hookspecs(hooks)
         manager.register(module)
-        found = False
+        has_hooks = False
         for kind in KINDS:
-            found |= self._admit_kind(manager, kind, origin, point)
-        known = {f"codecbench_{kind}s" for kind in KINDS}
-        for name in sorted(_hook_names(module) - known):
-            near = difflib.get_close_matches(name, known, n=1)
-            meant = f"; did you mean {near[0]}?" if near else ""
-            self._report(origin, point, f"{point.module} implements {name}, which is not a hook{meant}")
-            found = True
-        if not found:
-            self._report(origin, point, f"{point.module} implements no hook; known: {', '.join(sorted(known))}")
+            has_hooks |= self._admit_kind(manager, kind, origin, point)
+        hook_names = {f"codecbench_{kind}s" for kind in KINDS}
+        for name in sorted(_hook_names(module) - hook_names):
+            nearest = difflib.get_close_matches(name, hook_names, n=1)
+            hint = f"; did you mean {nearest[0]}?" if nearest else ""
+            self._report(origin, point, f"{point.module} implements {name}, which is not a hook{hint}")
+            has_hooks = True
+        if not has_hooks:
+            self._report(origin, point, f"{point.module} implements no hook; known: {', '.join(sorted(hook_names))}")
 
     def _admit_kind(self, manager: pluggy.PluginManager, kind: Kind, origin: str, point: EntryPoint) -> bool:
         hook = getattr(manager.hook, f"codecbench_{kind}s")
         try:
             answers = hook()
-        except Exception as error:  # noqa: BLE001 - a stranger's hook may raise anything
+        except Exception as error:  # noqa: BLE001 - foreign hooks may raise anything
             self._report(origin, point, f"codecbench_{kind}s failed: {describe_error(error)}", nameless=True)
             return True
         for answer in answers:
@@ -204,8 +204,8 @@ class Registry:
     def _admit_spec(self, kind: Kind, spec: object, origin: str, point: EntryPoint) -> None:
         if not isinstance(spec, PluginSpec):
             self._report(origin, point, f"codecbench_{kind}s returned {spec!r}; it returns a list of PluginSpec")
-        elif (wrong := fault_of(kind, spec)) is not None:
-            self._report(origin, point, wrong)
+        elif (fault := fault_of(kind, spec)) is not None:
+            self._report(origin, point, fault)
         else:
             self._take(Plugin(kind, spec, origin), point.name)
 
@@ -225,25 +225,25 @@ class Registry:
 
 @functools.cache
 def installed() -> Registry:
-    """The registry of everything installed, read once a process; other distributions' plugins are imported in hosts."""
+    """Return the registry of everything installed, cached; other distributions' plugins are imported in hosts."""
     points = points_by_origin()
     ours = points.pop(OURS, ())
     return Registry(ours, hosted={} if HOSTED_VARIABLE in os.environ else points)
 
 
 @functools.cache
-def own() -> Registry:
-    """The registry of codecbench's own plugins, read once a process."""
+def own_registry() -> Registry:
+    """Return the registry of codecbench's own plugins, cached."""
     return Registry(points_by_origin().get(OURS, ()))
 
 
 def everything() -> Registry:
-    """The registry of all that is installed, imported into this process: for who develops a plugin."""
+    """Return a registry that imports all installed plugins into this process: for plugin developers."""
     return Registry(point for points in points_by_origin().values() for point in points)
 
 
 def loads(registry: Registry, kind: Kind, name: str) -> bool:
-    """That a plugin's module imports and keeps the contract, found out where it is asked. Raises like `load`."""
+    """Return True if a plugin's module imports and meets its contract. Raises like `load`."""
     registry.load(kind, name)
     return True
 

@@ -1,6 +1,6 @@
-"""What a host process does: call functions of codecbench on the plugins of its distribution, and answer with data.
+"""The work of a host process: it calls functions of codecbench on the plugins of its distribution, and returns data.
 
-It imports as little as it can, because `codecbench list` waits for it.
+It imports as little as possible, because `codecbench list` waits for it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import gc
 import importlib
 import json
 import os
+import random
 import shutil
 import signal
 import sys
@@ -30,19 +31,18 @@ _PR_SET_PDEATHSIG: Final = 1
 _M_TRIM_THRESHOLD: Final = -1
 _M_MMAP_THRESHOLD: Final = -3
 _MALLOC_BYTES: Final = 32 << 20
-"""The most that glibc takes for a block of memory that it does not ask the system for."""
+"""Largest block of memory that glibc keeps for itself instead of returning it to the system."""
 _state: dict[str, str] = {}
 
 
 def serve(descriptors: list[int], distribution: str, folder: str) -> None:
-    """Do what is asked until nobody asks, and remove `folder`, whose asker may be gone.
+    """Serve calls until the caller is gone, then remove `folder`, where this process keeps its temporary files.
 
-    descriptors: of pipes, to read and to write, and of memory, to write and to read. folder: where this process keeps
-    its temporary files.
+    descriptors: of pipes, to read and to write, and of memory, to write and to read.
     """
     _state["distribution"] = distribution
     keep_memory()
-    tempfile.tempdir = folder  # also when a plugin has removed it: otherwise the system's would be the next
+    tempfile.tempdir = folder  # even if a plugin removes it; otherwise the system's would be used
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     crash = os.open(os.path.join(folder, CRASH_FILE), os.O_WRONLY | os.O_CREAT, 0o600)
@@ -56,57 +56,55 @@ def serve(descriptors: list[int], distribution: str, folder: str) -> None:
 
 @functools.cache
 def registry() -> Registry:
-    """What this host's distribution offers, and codecbench's own plugins."""
+    """Return the plugins of this host's distribution and codecbench's own."""
     return Registry([*points_of(OURS), *points_of(_state["distribution"])])
 
 
-def called(module_function: str, *arguments: Any) -> Any:
-    """What a function of codecbench, as `module:name`, returns for the registry of this host and arguments, as JSON."""
+def call_function(module_function: str, *arguments: Any) -> Any:
+    """Call a function of codecbench, `module:name`, with this host's registry and arguments; return JSON types."""
     module, _, name = module_function.partition(":")
     return json.loads(json.dumps(getattr(importlib.import_module(module), name)(registry(), *arguments)))
 
 
 def offers() -> dict[str, Any]:
-    """What the distribution offers, as JSON types."""
-    found = Registry(points_of(_state["distribution"]))
+    """Return what the distribution offers, as JSON types."""
+    hosted_registry = Registry(points_of(_state["distribution"]))
     plugins = [
-        {"kind": kind, "spec": asdict(plugin.spec), "entry_point": found.entry_point(plugin)}
+        {"kind": kind, "spec": asdict(plugin.spec), "entry_point": hosted_registry.entry_point(plugin)}
         for kind in KINDS
-        for plugin in found.plugins(kind)
+        for plugin in hosted_registry.plugins(kind)
     ]
-    return {"plugins": plugins, "problems": [asdict(problem) for problem in found.problems]}
+    return {"plugins": plugins, "problems": [asdict(problem) for problem in hosted_registry.problems]}
 
 
-def created(kind: Any, name: str, params: dict[str, Any], seed: int) -> Exposed:
-    """A plugin with these parameters; of a dataset, the sequence, opened. seed: of global generators before that.
+def create_plugin(kind: Any, name: str, params: dict[str, Any], seed: int) -> Exposed:
+    """Create a plugin with these parameters; for a dataset, open its sequence. seed: of global generators before that.
 
-    Its version, and the code that it is made of, are told with it.
+    Its version and its code's fingerprint are sent with it.
     """
-    start_afresh(seed)
+    seed_generators(seed)
     code = code_of(registry().find(kind, name))
     instance = registry().create(kind, name, params)
     version = instance.version
-    gc.freeze()  # so that looking for garbage takes no measurement of time long
+    gc.freeze()  # keeps garbage collection out of time measurements
     if kind == "dataset":
         return Exposed("sequence", instance.open(), code=code, of_version=version)
     return Exposed(kind, instance, code=code, of_version=version)
 
 
 def keep_memory() -> None:
-    """Have memory that is freed reused: new pages from the system for each picture can take as long as decoding it."""
+    """Make freed memory be reused: getting new pages for each picture can take as long as decoding it."""
     for setting in (_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD) if sys.platform == "linux" else ():
         ctypes.CDLL(None).mallopt(setting, _MALLOC_BYTES)
 
 
-def start_afresh(seed: int) -> None:
-    """Seed the global generators, so that code of others which draws from them gives the same in every order."""
-    import random
-
-    import cv2
+def seed_generators(seed: int) -> None:
+    """Seed the global generators, so that foreign code that uses them gives the same results in every order."""
+    import cv2  # slow, and hosts that only list plugins do not need them
     import numpy as np
 
     seed %= 1 << 32
     cv2.setNumThreads(1)
     cv2.setRNGSeed(seed >> 1)
     random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002 - for code of others that draws from the global generator
+    np.random.seed(seed)  # noqa: NPY002 - for foreign code that uses the global generator

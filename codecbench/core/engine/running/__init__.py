@@ -1,1 +1,1 @@
-"""From a plan to records: what is ready, who computes it, and what became of it."""
+"""Run a plan: schedule its work, have it computed, and record the results."""

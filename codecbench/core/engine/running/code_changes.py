@@ -1,4 +1,4 @@
-"""What a run says of kept cells whose plugins' code is no longer what it was: they are kept, and not in silence."""
+"""Report kept cells whose plugins' code has changed since: they are kept, but not silently."""
 
 from __future__ import annotations
 
@@ -17,48 +17,50 @@ from codecbench.core.engine.storage.record_index import IndexEntry
 from codecbench.core.engine.storage.store import Store
 
 BITSTREAMS_LABEL: Final = "bitstreams"
-"""What the code that encoded is called among the code of a cell that reads bitstreams."""
+"""Label of the encoder's code among the code of a cell that reads bitstreams."""
 _SHOWN: Final = 3
 
 
 @dataclass
 class _Change:
-    """One plugin whose code changed: kept cells, what changed, and the names by which they are computed again."""
+    """One plugin whose code changed: kept cells, what changed, and names for `--recompute`."""
 
-    what: str
+    description: str
     cells: set[str] = field(default_factory=set)
     names: dict[str, None] = field(default_factory=dict)
 
     def line(self, title: str) -> str:
         names = list(self.names)
         options = " ".join(f"--recompute {name}" for name in names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")
-        counted = f"{len(self.cells)} kept cell{'s' if len(self.cells) > 1 else ''}"
-        return f"{title}: other code made {counted} ({self.what}); to make them again: codecbench run ... {options}"
+        cells = f"{len(self.cells)} kept cell{'s' if len(self.cells) > 1 else ''}"
+        return (
+            f"{title}: other code made {cells} ({self.description}); to make them again: codecbench run ... {options}"
+        )
 
 
-def code_notices(plan: Plan, kept: Mapping[str, IndexEntry], store: Store, registry: Registry) -> list[str]:
-    """A line for each plugin whose code is not what made some of the kept cells, and one for cells that do not say.
+def code_notices(plan: Plan, kept_entries: Mapping[str, IndexEntry], store: Store, registry: Registry) -> list[str]:
+    """Return a line for each plugin whose code differs from what made some kept cells, and one for cells without code.
 
-    kept: the index of those with a result. It opens one record for each combination of codes that differs.
+    kept_entries: index entries of the cells with a result. Opens one record for each combination of codes that differs.
     """
     today = _Today(registry)
     differences: dict[tuple[str, str], list[tuple[str, str, str]]] = {}
     changes: dict[tuple[str, str], _Change] = {}
     unknown = 0
     for cell in plan.cells:
-        if (entry := kept.get(cell.id)) is None:
+        if (entry := kept_entries.get(cell.id)) is None:
             continue
-        now = today.code(cell)
+        code = today.code(cell)
         unknown += not entry.code
-        pair = entry.code, code_digest(now)
+        pair = entry.code, code_digest(code)
         if not entry.code or pair[0] == pair[1]:
             continue
         if pair not in differences:
-            differences[pair] = list(today.differences(cell, now, store))
-        for title, what, name in differences[pair]:
-            change = changes.setdefault((title, what), _Change(what))
+            differences[pair] = list(today.differences(cell, code, store))
+        for title, description, kind in differences[pair]:
+            change = changes.setdefault((title, description), _Change(description))
             change.cells.add(cell.id)
-            change.names[_asked(cell, name)] = None
+            change.names[_recompute_name(cell, kind)] = None
     lines = [change.line(title) for (title, _), change in changes.items()]
     if unknown:
         lines.append(f"{unknown} kept cell(s) were computed before codecbench recorded the code of plugins; whether it "
@@ -67,25 +69,25 @@ def code_notices(plan: Plan, kept: Mapping[str, IndexEntry], store: Store, regis
 
 
 class _Today:
-    """The code of plugins as it is now, looked at once."""
+    """The current code of plugins, each looked up once."""
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._code: dict[tuple[Kind, str], str] = {}
 
     def code(self, cell: Cell) -> dict[str, str]:
-        """What a record of the cell would tell."""
-        found = {code_label(setting.kind, setting.name): self._of(setting) for setting in cell.plugins}
+        """Return the code that a new record of the cell would have."""
+        codes = {code_label(setting.kind, setting.name): self._of(setting) for setting in cell.plugins}
         if cell.job_id is not None:
-            found[BITSTREAMS_LABEL] = self._of(cell.codec)
-        return {label: code for label, code in found.items() if code}
+            codes[BITSTREAMS_LABEL] = self._of(cell.codec)
+        return {label: code for label, code in codes.items() if code}
 
     def differences(self, cell: Cell, now: dict[str, str], store: Store) -> Iterator[tuple[str, str, str]]:
-        """Of each plugin that differs its label, what changed, and whose name asks for its cells: `dataset` or so."""
+        """Yield for each plugin that differs its label, what changed, and its kind."""
         try:
             record = store.read_record(cell.id)
         except StoreError:
-            return  # damaged or gone, which is another reason
+            return  # damaged or gone: reported elsewhere
         by_label = {code_label(setting.kind, setting.name): setting for setting in cell.plugins}
         by_label[BITSTREAMS_LABEL] = cell.codec
         seen = set()
@@ -109,17 +111,17 @@ class _Today:
         return f"{today}: " + (f"{', '.join(names[:_SHOWN])}{more} written since" if names else "its files differ")
 
     def _of(self, setting: PluginSetting) -> str:
-        asked = setting.kind, setting.name
-        if asked not in self._code:
+        plugin_key = setting.kind, setting.name
+        if plugin_key not in self._code:
             try:
-                self._code[asked] = code_of(self._registry.find(*asked))
+                self._code[plugin_key] = code_of(self._registry.find(*plugin_key))
             except PluginError:
-                self._code[asked] = ""  # no longer installed: there is no code to compare with
-        return self._code[asked]
+                self._code[plugin_key] = ""  # no longer installed: there is no code to compare with
+        return self._code[plugin_key]
 
 
-def _asked(cell: Cell, kind: str) -> str:
-    """The name by which a cell is computed again whose plugin of this kind has changed."""
+def _recompute_name(cell: Cell, kind: str) -> str:
+    """Return the name for `--recompute` of a cell whose plugin of this kind has changed."""
     if kind == "codec":
         return cell.codec.name
     return cell.sequence.name if kind == "dataset" else cell.evaluator.name

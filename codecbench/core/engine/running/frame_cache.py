@@ -1,4 +1,4 @@
-"""Raw frames kept in a worker, so that consecutive settings of a sequence read each frame once."""
+"""Cache raw frames in a worker, so that consecutive settings of a sequence read each frame once."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from codecbench.core.contracts.image import check_image
 from codecbench.core.contracts.sequence import Frame, FrameSequence
 
 MOST_BYTES = 128 << 20
-"""Two workers, each with these, half as many of decoded frames, and its compiled kernels, stay below 1.5 GB."""
+"""Two workers, each with such a cache, half of that in decoded frames, and compiled kernels, stay below 1.5 GB."""
 
 
 def cache_limit_bytes(memory_mb: int) -> int:
-    """What frames may take of a worker's memory cap: a quarter, so that codecs and evaluators have the rest."""
+    """Return the cache's share of a worker's memory limit: a quarter; codecs and evaluators get the rest."""
     return min(MOST_BYTES, (memory_mb << 20) // 4)
 
 
-def checked_frame(frame: object, channels: int) -> Frame:
-    """`frame` after checking that it is one, with an image of so many channels."""
+def check_frame(frame: object, channels: int) -> Frame:
+    """Return `frame` after checking that it is a Frame with an image of `channels` channels."""
     if not isinstance(frame, Frame):
         raise DatasetError(f"read returned {type(frame).__name__}; it returns a Frame")
     check_image(frame.image, (channels,))
@@ -26,10 +26,10 @@ def checked_frame(frame: object, channels: int) -> Frame:
 
 
 class FrameCache:
-    """Frames of the sequence in hand, up to `limit_bytes`.
+    """Cache of frames of the current sequence, up to `limit_bytes`.
 
-    A sequence is read front to back again and again. Dropping the oldest frame would then drop each frame
-    just before it is wanted, so a frame that does not fit is not kept; frames of other sequences make room.
+    A sequence is read front to back repeatedly. Dropping the oldest frame would drop each frame just before it is
+    needed, so a frame that does not fit is not cached; frames of other sequences are evicted instead.
     """
 
     def __init__(self, limit_bytes: int = MOST_BYTES) -> None:
@@ -38,20 +38,20 @@ class FrameCache:
         self._frames: dict[str, dict[int, Frame]] = {}
 
     def read(self, sequence: FrameSequence, index: int) -> Frame:
-        """Frame `index` of `sequence`, from memory where it was kept; the caller owns the pixels."""
+        """Return frame `index` of `sequence`, from the cache if possible; the caller owns the pixels."""
         frames = self._frames.setdefault(sequence.fingerprint, {})
         frame = frames.get(index)
         if frame is None:
-            frame = checked_frame(sequence.read(index), sequence.channels)
+            frame = check_frame(sequence.read(index), sequence.channels)
             if not self._make_room(frame.image.nbytes, sequence.fingerprint):
                 return frame
             frames[index] = frame
             self.used_bytes += frame.image.nbytes
-        # A copy, so that whoever writes into it harms nobody; it shares what is cached of the kept frame.
+        # A copy, so that writing into it is harmless; it shares cached properties with the stored frame.
         return replace(frame, image=frame.image.copy())
 
-    def _make_room(self, size_bytes: int, keep: str) -> bool:
-        for other in [name for name in self._frames if name != keep]:
+    def _make_room(self, size_bytes: int, kept_fingerprint: str) -> bool:
+        for other in [name for name in self._frames if name != kept_fingerprint]:
             if self.used_bytes + size_bytes <= self.limit_bytes:
                 break
             self.used_bytes -= sum(frame.image.nbytes for frame in self._frames.pop(other).values())
@@ -59,7 +59,7 @@ class FrameCache:
 
 
 class CachedSequence(FrameSequence):
-    """A sequence whose frames come through a cache; everything else is as the sequence says."""
+    """A sequence whose frames are read through a cache."""
 
     def __init__(self, source: FrameSequence, name: str, cache: FrameCache) -> None:
         self.name = name

@@ -1,4 +1,4 @@
-"""An evaluator at work on a cell: in the worker where it is codecbench's own, in a host where it is of others."""
+"""Run an evaluator on a cell: codecbench's own in the worker, others in a host."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.engine.hosting.channel import Exposed
 from codecbench.core.engine.planning.model import Cell, PluginSetting
-from codecbench.core.engine.plugins.serving import created, registry
-from codecbench.core.engine.running.plugins import Plugins
+from codecbench.core.engine.plugins.serving import create_plugin, registry
+from codecbench.core.engine.running.workbench import PluginFactory
 from codecbench.core.engine.storage.record import RECORD_FILE, SAMPLES_FILE
 from codecbench.core.engine.storage.samples import MeasurementCheck, MeasurementError
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What an evaluator made of a cell: what it declares, what it measured, and the files that it left, by name."""
+    """The result of an evaluator on a cell: declared metrics, measurements, and its files by name."""
 
     metrics: tuple[Metric, ...]
     measurements: tuple[Measurement, ...]
@@ -43,7 +43,7 @@ class Measured:
 
 
 class Position(Protocol):
-    """Where the work has got to."""
+    """Receives how far the work has got."""
 
     def at(self, stage: str, frame: int | None = None) -> None: ...
 
@@ -56,33 +56,33 @@ def measure(
     plugins: PluginSource,
     position: Position,
 ) -> Measured:
-    """What an evaluator makes of the coded frames, or of the codec, of a cell.
+    """Run an evaluator on the coded frames, or on the codec, of a cell.
 
-    Raises MeasurementError for what no evaluator may measure or leave, and whatever it raises.
+    Raises MeasurementError for invalid measurements or artifacts, and whatever the evaluator raises.
     """
-    check = MeasurementCheck(evaluator, len(sequence))
+    checks = MeasurementCheck(evaluator, len(sequence))
     with tempfile.TemporaryDirectory(prefix="codecbench-cell-") as folder:
         context = Context(np.random.default_rng(cell.seed), cell.repeat, Path(folder), plugins, cell.inputs)
         position.at("evaluate")
         if isinstance(evaluator, CodecEvaluator):
-            found = list(check.checked(evaluator.evaluate(subject, sequence, context)))  # type: ignore[arg-type]
+            measurements = list(checks.check(evaluator.evaluate(subject, sequence, context)))  # type: ignore[arg-type]
         else:
-            found = list(_of_coded(evaluator, subject, context, check, position))  # type: ignore[arg-type]
+            measurements = list(_measure_coded(evaluator, subject, context, checks, position))  # type: ignore[arg-type]
         position.at("artifacts")
-        return Measured(tuple(evaluator.metrics), tuple(found), _artifacts(Path(folder)))
+        return Measured(tuple(evaluator.metrics), tuple(measurements), _artifacts(Path(folder)))
 
 
-def _of_coded(
-    evaluator: Evaluator[Any], coded: CodedSequence, context: Context, check: MeasurementCheck, position: Position
+def _measure_coded(
+    evaluator: Evaluator[Any], coded: CodedSequence, context: Context, checks: MeasurementCheck, position: Position
 ) -> Iterator[Measurement]:
-    """The measurements of an evaluator that looks at coded frames."""
+    """Yield the measurements of an evaluator of coded frames."""
     if isinstance(evaluator, SequenceEvaluator):
-        yield from check.checked(evaluator.evaluate(coded, context))
+        yield from checks.check(evaluator.evaluate(coded, context))
     elif isinstance(evaluator, FrameEvaluator):
         for index in range(len(coded)):
             frame = coded.frame(index)
             position.at("evaluate", index)
-            yield from check.checked(evaluator.evaluate(frame), index)
+            yield from checks.check(evaluator.evaluate(frame), index)
     else:
         kinds = "FrameEvaluator, SequenceEvaluator or CodecEvaluator"
         raise PluginError(f"{type(evaluator).__name__} is not a {kinds}; subclass one of them")
@@ -105,33 +105,37 @@ def _check_name(name: str, is_file: bool = True) -> None:
         raise MeasurementError(f"artifact {name!r} has a name that cannot be printed or is of another folder")
 
 
-def measured_in_host(
-    bench: Plugins,
+def measure_in_host(
+    bench: PluginFactory,
     cell: Cell,
     subject: CodedSequence | AnyCodec[Any],
     sequence: FrameSequence,
     plugins: PluginSource,
     position: Position,
 ) -> Measured:
-    """The same by an evaluator of another distribution, which sees nothing of this process but what it asks for."""
-    shown = Exposed("sequence", sequence)
+    """Run an evaluator of another distribution in a host, where it sees only the parts of this process it asks for."""
+    exposed_sequence = Exposed("sequence", sequence)
     codec = cell.codec if not cell.codec.distribution else Exposed("codec", getattr(subject, "codec", subject))
-    given = Exposed("coded", subject, sequence=shown, codec=codec) if cell.job_id is not None else codec
+    exposed_subject = (
+        Exposed("coded", subject, sequence=exposed_sequence, codec=codec) if cell.job_id is not None else codec
+    )
     setting = cell.evaluator
     host = bench.host(setting.distribution, "evaluate", cell.id)
     sources = Exposed("plugins", plugins), Exposed("position", position)
-    made, found = host.ask(f"{__name__}:measure_here", setting, given, shown, _facts(cell), *sources)
-    bench.check(setting, *made)
-    if not isinstance(found, Measured) or not all(isinstance(metric, Metric) for metric in found.metrics):
-        raise PluginError(f"evaluate returned {type(found).__name__}")
-    checked = MeasurementCheck(found, len(sequence)).checked(found.measurements)  # type: ignore[arg-type]
-    for name, content in found.artifacts.items():
+    version_and_code, measured = host.ask(
+        f"{__name__}:measure_here", setting, exposed_subject, exposed_sequence, _without_paths(cell), *sources
+    )
+    bench.check(setting, *version_and_code)
+    if not isinstance(measured, Measured) or not all(isinstance(metric, Metric) for metric in measured.metrics):
+        raise PluginError(f"evaluate returned {type(measured).__name__}")
+    checked = MeasurementCheck(measured, len(sequence)).check(measured.measurements)  # type: ignore[arg-type]
+    for name, content in measured.artifacts.items():
         _check_name(str(name), isinstance(content, bytes))
-    return replace(found, measurements=tuple(checked))
+    return replace(measured, measurements=tuple(checked))
 
 
-def _facts(cell: Cell) -> Cell:
-    """What an evaluator is told of its cell: nothing of where its frames are."""
+def _without_paths(cell: Cell) -> Cell:
+    """Return a cell without its dataset, so that an evaluator does not learn where the frames are."""
     return replace(cell, sequence=replace(cell.sequence, dataset=PluginSetting("dataset", "", "")), job_id=None)
 
 
@@ -143,30 +147,31 @@ def measure_here(
     plugins: PluginSource,
     position: Position,
 ) -> tuple[tuple[str, str], Measured]:
-    """What `measure` says in this host, after the version of the evaluator and its code."""
-    made = created("evaluator", setting.name, setting.params, int(cell.id[:8], 16))
-    subject = _own(subject)
+    """Run `measure` in this host; also return the evaluator's version and its code's fingerprint."""
+    exposed = create_plugin("evaluator", setting.name, setting.params, int(cell.id[:8], 16))
+    subject = _local_codec(subject)
     if hasattr(subject, "facts") and "codec" in subject.facts:
-        subject.facts["codec"] = _own(subject.facts["codec"])
-    sources = _Plugins(plugins, cell)
-    found = measure(made.value, subject, sequence, cell, sources, position)
-    return (made.facts["of_version"], made.facts["code"]), found
+        subject.facts["codec"] = _local_codec(subject.facts["codec"])
+    sources = _PluginSource(plugins, cell)
+    measured = measure(exposed.value, subject, sequence, cell, sources, position)
+    return (exposed.facts["of_version"], exposed.facts["code"]), measured
 
 
-def _own(codec: Any) -> Any:
-    """A codec of codecbench's own is made here; any other is asked where it is."""
+def _local_codec(codec: Any) -> Any:
+    """Create a codec of codecbench's own here; any other is called where it is."""
     if isinstance(codec, PluginSetting):
         return registry().create("codec", codec.name, codec.params)
     return codec
 
 
-class _Plugins:
-    """Codecbench's own plugins are made here, and all others asked where they are."""
+class _PluginSource:
+    """Creates codecbench's own plugins here; others are called where they are."""
 
     def __init__(self, source: PluginSource, cell: Cell) -> None:
-        self._source, self._own = source, {(use.kind, use.name) for use in cell.evaluator.uses if not use.distribution}
+        self._source = source
+        self._own_plugins = {(use.kind, use.name) for use in cell.evaluator.uses if not use.distribution}
 
     def create(self, kind: Kind, name: str, params: dict[str, Any]) -> Any:
-        if (kind, name) in self._own:
+        if (kind, name) in self._own_plugins:
             return registry().create(kind, name, params)
         return self._source.create(kind, name, params)

@@ -1,4 +1,4 @@
-"""Which kernels matrices call, found out by doing all their work in this process."""
+"""Record which kernels matrices call, by doing all their work in this process."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from codecbench.core.kernels import manifest
 
 
 class RecordingError(CodecbenchError):
-    """Something failed while kernels were recorded: the manifest would lack whatever comes after."""
+    """Raised if something fails while recording: the manifest would lack everything after it."""
 
 
 def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Path]:
-    """Write the manifest of each package from the work of the matrices; returns the files.
+    """Write the manifest of each package from the work of the matrices; return the files.
 
     The first matrix stands for what any work calls; what only a later one calls is compiled later.
 
-    Raises RecordingError where something of a matrix fails, MatrixError and ManifestError as their names say, and
-    OSError where a file cannot be written, which then is as it was.
+    Raises RecordingError if a matrix fails, MatrixError or ManifestError for invalid files, and OSError if a file
+    cannot be written, which then is unchanged.
     """
     bench = Workbench(registry=everything())
     bench.hosts_none = True
@@ -45,26 +45,26 @@ def record_kernels(matrices: Iterable[Path], packages: Iterable[str]) -> list[Pa
 
 
 def _perform(plan: Plan, bench: Workbench) -> None:
-    coded: dict[str | None, bytes | None] = {None: None}
+    bitstreams: dict[str | None, bytes | None] = {None: None}
     for job in plan.jobs:
-        coded[job.id] = _done(WorkItem(job, None, MOST_BYTES), bench).contents[BITSTREAMS]
+        bitstreams[job.id] = _perform_item(WorkItem(job, None, MOST_BYTES), bench).contents[BITSTREAMS]
     for cell in plan.cells:
-        _done(WorkItem(cell, coded[cell.job_id], MOST_BYTES), bench)
+        _perform_item(WorkItem(cell, bitstreams[cell.job_id], MOST_BYTES), bench)
 
 
-def _done(order: WorkItem, bench: Workbench) -> Record:
-    """The record of work that was done. Raises RecordingError where it failed."""
-    outcome = perform(order, bench)
+def _perform_item(item: WorkItem, bench: Workbench) -> Record:
+    """Perform work and return its record. Raises RecordingError if it failed."""
+    outcome = perform(item, bench)
     if isinstance(outcome, Record) and outcome.status == "ok":
         return outcome
-    work, reason = order.work, outcome.reason if isinstance(outcome, Record) else outcome
+    work, reason = item.work, outcome.reason if isinstance(outcome, Record) else outcome
     evaluator = [] if isinstance(work, CodingJob) else [work.evaluator.name]
     raise RecordingError(f"{' | '.join([work.sequence.name, work.codec.title, *evaluator])}: {reason}")
 
 
 @contextmanager
 def _empty_cache() -> Iterator[None]:
-    """Meanwhile nothing that was compiled or rendered before is found."""
+    """Use an empty cache in the block, so that everything is compiled and rendered anew."""
     before = os.environ.get("CODECBENCH_CACHE")
     with tempfile.TemporaryDirectory(prefix="codecbench-recording-") as folder:
         os.environ["CODECBENCH_CACHE"] = folder

@@ -1,9 +1,8 @@
-"""Where a run starts: which cells of a plan an earlier run in the same folder has computed, and why others not.
+"""Determine where a run starts: which cells an earlier run computed, and why others must be computed.
 
-A record with status `ok` is kept for ever: as long as it is whole, as long as its plugins' parameters would be the
-same today, and until it is asked for again by name. Where its plugins' code has changed it is kept and the run says so.
-Cells that failed, crashed, timed out or were unsupported are tried again, because a run is repeated after mending what
-was wrong.
+A record with status `ok` is kept as long as it is intact, its plugins' parameters would be the same today, and nobody
+asks by name to recompute it. If its plugins' code has changed, it is kept and the run says so. Cells that failed,
+crashed, timed out or were unsupported are retried, because runs are repeated after fixing the cause.
 """
 
 from __future__ import annotations
@@ -29,29 +28,29 @@ log = logging.getLogger("codecbench.run")
 
 @dataclass(frozen=True)
 class Resumption:
-    """What an earlier run left of a plan, by cell id.
-
-    kept: the status of cells that are not computed again. damaged: why records that are not whole are. outdated: why
-    whole ones are, though they once were `ok`. retried: how many that never were `ok` are. notices: what to say of
-    cells that are kept though code has changed.
-    """
+    """What an earlier run left of a plan, by cell id."""
 
     kept: dict[str, Status]
+    """Status of cells that are not computed again."""
     damaged: dict[str, str]
+    """Why records are damaged."""
     outdated: dict[str, str]
+    """Why intact records with status `ok` are computed again."""
     retried: int
+    """Number of cells computed again whose status was not `ok`."""
     notices: tuple[str, ...] = ()
+    """Messages about kept cells whose code has changed."""
 
 
 def resume(plan: Plan, store: Store, registry: Registry, recompute: Iterable[str] = ()) -> Resumption:
-    """Look at what is in the run folder, and remove from it what is to be computed again.
+    """Inspect the run folder, and remove from it what is to be computed again.
 
     recompute: names of codecs, evaluators and sequences whose cells are not kept; of codecs and sequences the
-    bitstreams are not either. Raises ParamsError for a name that the plan does not have.
+    bitstreams are not kept either. Raises ParamsError for a name that the plan does not have.
     """
-    asked = _asked_for(plan, recompute)
+    requested = _requested_by_name(plan, recompute)
     sound, damaged = store.sound_entries(cell.id for cell in plan.cells)
-    outdated = outdated_cells(plan, sound, store) | {id_: why for id_, why in asked.items() if id_ in sound}
+    outdated = outdated_cells(plan, sound, store) | {id_: why for id_, why in requested.items() if id_ in sound}
     for cell_id, reason in damaged.items():
         log.warning("record %s will be computed again: %s", cell_id, reason)
     for reason, count in Counter(outdated.values()).items():
@@ -59,8 +58,8 @@ def resume(plan: Plan, store: Store, registry: Registry, recompute: Iterable[str
     for cell_id in (*damaged, *outdated):
         store.drop_record(cell_id)
     for job in plan.jobs:
-        if job.id in asked and store.coded_path(job.id).exists():
-            store.drop_coded(job.id, asked[job.id])
+        if job.id in requested and store.coded_path(job.id).exists():
+            store.drop_coded(job.id, requested[job.id])
     kept = kept_cells(plan, {id_: entry for id_, entry in sound.items() if id_ not in outdated})
     with_result = {id_: sound[id_] for id_, status in kept.items() if status == "ok"}
     notices = code_notices(plan, with_result, store, registry)
@@ -68,7 +67,7 @@ def resume(plan: Plan, store: Store, registry: Registry, recompute: Iterable[str
 
 
 def kept_cells(plan: Plan, entries: Mapping[str, IndexEntry]) -> dict[str, Status]:
-    """The cells whose record says all that there is to say, with their status."""
+    """Return the cells whose record is final, with their status."""
     kept: dict[str, Status] = {}
     for cell in plan.cells:
         entry = entries.get(cell.id)
@@ -80,14 +79,14 @@ def kept_cells(plan: Plan, entries: Mapping[str, IndexEntry]) -> dict[str, Statu
 
 
 def outdated_cells(plan: Plan, entries: Mapping[str, IndexEntry], store: Store) -> dict[str, str]:
-    """The cells whose record was made with other values of parameters at their default, and which those are.
+    """Return the cells whose record was made with other default values, with the parameter that differs.
 
-    A parameter at its default is in no identity, so that plugins can gain parameters; the price is this comparison.
+    A parameter at its default is in no identity, so that plugins can gain parameters; this comparison makes up for it.
     It opens one record for each pair of settings that differ from those of the plan in any parameter.
     """
     digests: dict[tuple[PluginSetting, PluginSetting], str] = {}
     reasons: dict[tuple[str, str], str | None] = {}
-    found = {}
+    outdated = {}
     for cell in plan.cells:
         entry = entries.get(cell.id)
         if entry is None or entry.status != "ok":
@@ -99,17 +98,17 @@ def outdated_cells(plan: Plan, entries: Mapping[str, IndexEntry], store: Store) 
         if pair[0] != pair[1] and pair not in reasons:
             reasons[pair] = _changed_default(cell, store)
         if (reason := reasons.get(pair)) is not None:
-            found[cell.id] = reason
-    return found
+            outdated[cell.id] = reason
+    return outdated
 
 
 def _changed_default(cell: Cell, store: Store) -> str | None:
-    """Which parameter of a cell's plugins had another value when its record was made, or None."""
+    """Return which parameter of a cell's plugins had another value when its record was made, or None."""
     try:
-        then = store.read_record(cell.id).cell
+        described = store.read_record(cell.id).cell
     except StoreError:
-        return None  # damaged or gone, which is another reason
-    stored = [then.get("codec"), then.get("evaluator"), *then.get("uses", ())]
+        return None  # damaged or gone: reported elsewhere
+    stored = [described.get("codec"), described.get("evaluator"), *described.get("uses", ())]
     for before, setting in zip(stored, (cell.codec, cell.evaluator, *cell.evaluator.uses), strict=False):
         reason = _changed_parameter(before["params"], setting) if before else "its record does not say which"
         if reason is not None:
@@ -118,30 +117,29 @@ def _changed_default(cell: Cell, store: Store) -> str | None:
 
 
 def _changed_parameter(before: dict[str, Any], setting: PluginSetting) -> str | None:
-    """Which effective parameter had another value before, or None. Of one that there was not, the default changed
-    nothing."""
+    """Return which effective parameter had another value, or None. A parameter that did not exist is no change."""
     for parameter, value in setting.effective_params().items():
-        if (then := before.get(parameter, value)) != value:
-            return f"the default of {parameter} was {then!r} and is {value!r}"
+        if (old_value := before.get(parameter, value)) != value:
+            return f"the default of {parameter} was {old_value!r} and is {value!r}"
     return None
 
 
-def _asked_for(plan: Plan, recompute: Iterable[str]) -> dict[str, str]:
-    """Why cells and jobs are computed again that were asked for by name, by their ids."""
-    asked = {}
+def _requested_by_name(plan: Plan, recompute: Iterable[str]) -> dict[str, str]:
+    """Return why cells and jobs are recomputed that were asked for by name, by their ids."""
+    reasons = {}
     names = set(recompute)
-    found: set[str] = set()
+    matched: set[str] = set()
     for job in plan.jobs:
         if hit := names & {job.sequence.name, job.codec.name}:
-            asked[job.id] = f"{', '.join(sorted(hit))} was asked for"
+            reasons[job.id] = f"{', '.join(sorted(hit))} was asked for"
     for cell in plan.cells:
         if hit := names & {cell.sequence.name, cell.codec.name, cell.evaluator.name}:
-            asked[cell.id] = f"{', '.join(sorted(hit))} was asked for"
-            found |= hit
+            reasons[cell.id] = f"{', '.join(sorted(hit))} was asked for"
+            matched |= hit
     known = {name for cell in plan.cells for name in (cell.sequence.name, cell.codec.name, cell.evaluator.name)}
-    for name in sorted(names - found):
-        near = difflib.get_close_matches(name, known, n=1)
-        meant = f"did you mean {near[0]!r}? " if near else ""
-        message = f"nothing to recompute is called {name!r}; {meant}this matrix has"
+    for name in sorted(names - matched):
+        nearest = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {nearest[0]!r}? " if nearest else ""
+        message = f"nothing to recompute is called {name!r}; {hint}this matrix has"
         raise ParamsError(f"{message} {', '.join(sorted(known))}")
-    return asked
+    return reasons

@@ -1,4 +1,4 @@
-"""What workers do: encode a sequence, compute a cell. Whatever goes wrong here becomes a status and a reason."""
+"""The work of workers: encode a sequence, compute a cell. Every failure becomes a status and a reason."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from typing import Any, BinaryIO, Final
 
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
-from codecbench.core.contracts.executor import Status
+from codecbench.core.contracts.executor import Finished, Status, Task
 from codecbench.core.contracts.sequence import FrameSequence
-from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, wanted
+from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, is_confinement_requested
 from codecbench.core.engine.hosting.host import PluginLoss
-from codecbench.core.engine.planning.model import Cell, CodingJob
-from codecbench.core.engine.plugins.serving import keep_memory, start_afresh
+from codecbench.core.engine.planning.model import Cell, CodingJob, RunSettings
+from codecbench.core.engine.plugins.serving import keep_memory, seed_generators
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WRITE, WorkPosition
-from codecbench.core.engine.running.measuring import measure, measured_in_host
+from codecbench.core.engine.running.frame_cache import cache_limit_bytes
+from codecbench.core.engine.running.measuring import measure, measure_in_host
 from codecbench.core.engine.running.schedule import Work
 from codecbench.core.engine.running.workbench import DeclaredPlugins, Workbench
 from codecbench.core.engine.storage.aggregate import summarise
@@ -39,35 +40,37 @@ from codecbench.core.engine.storage.bitstream_file import (
 )
 from codecbench.core.engine.storage.record import SAMPLES_FILE, Record, cell_description
 from codecbench.core.engine.storage.samples import parquet_from_samples
+from codecbench.core.engine.storage.store import Store
 from codecbench.core.engine.text import clean_line, clean_text, describe_error
 
 BITSTREAMS: Final = "bitstreams"
-"""The name of a coding job's file among the contents of its record, where it was not written by the worker."""
+"""Name of a coding job's file among the contents of its record, if the worker did not write it."""
 
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT)
 
 
 @dataclass(frozen=True)
 class WorkItem:
-    """A coding job to do or a cell to compute.
-
-    bitstreams: of a job, the file to write, or None to send them back; of a cell, the file to read or its content, or
-    None where it reads none. cache_bytes: for frames kept in the worker. confines: hosts of other distributions are
-    to be confined, also on another machine.
-    """
+    """A coding job to do or a cell to compute."""
 
     work: Work
     bitstreams: Path | bytes | None = field(repr=False)
+    """The file of bitstreams.
+
+    For a job: the file to write, or None to return its content. For a cell: the file to read or its content, or None.
+    """
     cache_bytes: int
+    """Limit of frames cached in the worker."""
     confines: bool = False
+    """Whether hosts of other distributions are to be confined, also on another machine."""
 
 
 def prepare_worker() -> None:
     """Load what every cell needs, single-threaded, so that the first one is not slower than the others.
 
-    What is loaded stays: looking for garbage among it would take each measurement of time a tenth of a second.
+    What is loaded stays: garbage collection of it would add a tenth of a second to each time measurement.
     """
-    import pyarrow
+    import pyarrow  # only workers need it
     import pyarrow.parquet
 
     pyarrow.set_cpu_count(1)
@@ -77,33 +80,33 @@ def prepare_worker() -> None:
     gc.freeze()
 
 
-def perform(order: WorkItem, bench: Workbench | None = None) -> Record | BitstreamDamage | OSError:
-    """Do the work and return its record, or say why the bitstreams, which can be made again, could not be read.
+def perform(item: WorkItem, bench: Workbench | None = None) -> Record | BitstreamDamage | OSError:
+    """Do the work and return its record, or why the bitstreams, which can be made again, could not be read.
 
-    An OSError is a full disk where the bitstreams were to be written, which no plugin is to blame for. bench: by
-    default, the one of this worker.
+    An OSError is a full disk while writing bitstreams, for which no plugin is to blame. bench: by default, this
+    worker's.
     """
-    begun, started = time.monotonic(), datetime.now(UTC)
-    work, bench, position = order.work, bench or _workbench(), WorkPosition(titles=_titles(order.work))
-    start_afresh(_seed(work))
-    os.environ[VARIABLE] = "1" if order.confines else "0"
+    begin_s, started = time.monotonic(), datetime.now(UTC)
+    work, bench, position = item.work, bench or _workbench(), WorkPosition(titles=_titles(item.work))
+    seed_generators(_seed(work))
+    os.environ[VARIABLE] = "1" if item.confines else "0"
     try:
         do = _encode if isinstance(work, CodingJob) else _evaluate
-        record = do(work, order, bench, position)  # type: ignore[arg-type]
+        record = do(work, item, bench, position)  # type: ignore[arg-type]
     except BitstreamDamage as damage:
         return BitstreamDamage(_reason(damage, position))
-    except BaseException as error:  # noqa: BLE001 - a cell's failure, whatever it is, becomes its record
+    except BaseException as error:  # noqa: BLE001 - every failure of a cell becomes its record
         if isinstance(error, OSError) and error.errno in _FULL and position.stage == WRITE:
             return error
         record = _failure(work, error, position)
     finally:
-        bench.tidy(_decoded(work))
+        bench.tidy(_shared_job_id(work))
     return replace(
         record,
         environment=bench.environment,
         environment_description=bench.environment_description,
         started_utc=started.isoformat(timespec="milliseconds"),
-        duration_s=time.monotonic() - begun,
+        duration_s=time.monotonic() - begin_s,
         worker=_worker(work),
         code=bench.code(work.plugins),
         cell=cell_description(work) if isinstance(work, Cell) else {},
@@ -111,18 +114,18 @@ def perform(order: WorkItem, bench: Workbench | None = None) -> Record | Bitstre
 
 
 def _worker(work: Work) -> dict[str, Any]:
-    """Where the work was done, and what confined other distributions' code, if anything did."""
-    is_confined = wanted() and any(plugin.distribution for plugin in work.plugins)
+    """Return where the work was done, and what confined other distributions' code, if anything did."""
+    is_confined = is_confinement_requested() and any(plugin.distribution for plugin in work.plugins)
     return {"host": platform.node(), "pid": os.getpid(), **({"confined": confinement()} if is_confined else {})}
 
 
-def _decoded(work: Work) -> str:
-    """The coding job whose host the next cell may decode in, too; empty where it may not."""
+def _shared_job_id(work: Work) -> str:
+    """Return the coding job whose host the next cell may use for decoding too; empty if it may not."""
     return "" if isinstance(work, CodingJob) or work.exclusive else work.job_id or ""
 
 
 def _seed(work: Work) -> int:
-    """Of global random generators, so that results do not depend on what was done before."""
+    """Return the seed of global random generators, so that results do not depend on earlier work."""
     return int(work.id[:8], 16)
 
 
@@ -135,7 +138,7 @@ def _failure(work: Work, error: BaseException, position: WorkPosition) -> Record
 
 
 def _reason(error: BaseException, position: WorkPosition) -> str:
-    """One line: where the work had got to, and what happened there."""
+    """Return one line: where the work had got to, and what happened there."""
     text = describe_error(error)
     if isinstance(error, CodecbenchError):
         text = text.removeprefix(f"{type(error).__name__}: ")
@@ -143,13 +146,13 @@ def _reason(error: BaseException, position: WorkPosition) -> str:
 
 
 def _titles(work: Work) -> dict[str, str]:
-    """The plugins of other distributions by the stage at which their code runs."""
+    """Return the plugins of other distributions by the stage at which their code runs."""
     settings = {"open": work.sequence.dataset, "read": work.sequence.dataset}
     settings |= dict.fromkeys(("construct codec", "encode", "decode", "remark", "libraries"), work.codec)
     if isinstance(work, Cell):
         used = next((setting for setting in work.evaluator.uses if setting.distribution), work.evaluator)
-        judge = work.evaluator if work.evaluator.distribution else used
-        settings |= dict.fromkeys(("construct evaluator", "evaluate", "artifacts"), judge)
+        evaluating = work.evaluator if work.evaluator.distribution else used
+        settings |= dict.fromkeys(("construct evaluator", "evaluate", "artifacts"), evaluating)
     return {stage: setting.full_name for stage, setting in settings.items() if setting.distribution}
 
 
@@ -158,14 +161,14 @@ def _workbench() -> Workbench:
     return Workbench()
 
 
-def _encode(job: CodingJob, order: WorkItem, bench: Workbench, position: WorkPosition) -> Record:
+def _encode(job: CodingJob, item: WorkItem, bench: Workbench, position: WorkPosition) -> Record:
     position.at("open")
-    sequence = bench.sequence(job.sequence, order.cache_bytes)
+    sequence = bench.sequence(job.sequence, item.cache_bytes)
     position.at("construct codec")
     codec: AnyCodec[Any] = bench.create(job.codec, job.id, _seed(job), "encode")
-    if isinstance(order.bitstreams, Path):
+    if isinstance(item.bitstreams, Path):
         position.at(WRITE)
-        with open_whole(order.bitstreams) as file:
+        with open_whole(item.bitstreams) as file:
             _write_coded(file, codec, sequence, job.id, position)
         return Record(job.id, "ok")
     content = BytesIO()
@@ -174,30 +177,30 @@ def _encode(job: CodingJob, order: WorkItem, bench: Workbench, position: WorkPos
 
 
 def _write_coded(
-    file: BinaryIO, codec: AnyCodec[Any], sequence: FrameSequence, job_id: str, position: WorkPosition
+    stream: BinaryIO, codec: AnyCodec[Any], sequence: FrameSequence, job_id: str, position: WorkPosition
 ) -> None:
     """Encode the sequence into a file of the job."""
     packets = encode_sequence(codec, sequence, position)
     if codec.stateless:
-        write_bitstreams(file, (packet.data for packet in packets), job_id)
+        write_bitstreams(stream, (packet.data for packet in packets), job_id)
     else:
-        write_stream(file, packets, job_id)
+        write_stream(stream, packets, job_id)
 
 
-def _evaluate(cell: Cell, order: WorkItem, bench: Workbench, position: WorkPosition) -> Record:
+def _evaluate(cell: Cell, item: WorkItem, bench: Workbench, position: WorkPosition) -> Record:
     position.at("open")
-    sequence = bench.sequence(cell.sequence, order.cache_bytes)
+    sequence = bench.sequence(cell.sequence, item.cache_bytes)
     position.at("construct codec")
-    codec: AnyCodec[Any] = bench.create(cell.codec, _decoded(cell) or cell.id, _seed(cell))
+    codec: AnyCodec[Any] = bench.create(cell.codec, _shared_job_id(cell) or cell.id, _seed(cell))
     coded: CodedFrames | None = None
     if cell.job_id is not None:
-        assert order.bitstreams is not None
-        file = BitstreamFile(order.bitstreams, cell.job_id)
-        coded = CodedFrames(sequence, codec, file, position, bench.pictures(file, order.cache_bytes))
+        assert item.bitstreams is not None
+        bitstreams = BitstreamFile(item.bitstreams, cell.job_id)
+        coded = CodedFrames(sequence, codec, bitstreams, position, bench.pictures(bitstreams, item.cache_bytes))
     position.at("construct evaluator")
     plugins = DeclaredPlugins(bench, cell)
     measured = (
-        measured_in_host(bench, cell, coded or codec, sequence, plugins, position)
+        measure_in_host(bench, cell, coded or codec, sequence, plugins, position)
         if bench.is_hosted(cell.evaluator)
         else measure(bench.create(cell.evaluator, cell.id), coded or codec, sequence, cell, plugins, position)
     )
@@ -224,14 +227,50 @@ def _evaluate(cell: Cell, order: WorkItem, bench: Workbench, position: WorkPosit
 
 
 def _remarks(codec: AnyCodec[Any]) -> tuple[str, ...]:
-    found = codec.remark()
-    if not isinstance(found, str):
-        raise PluginError(f"remark returned {clean_line(repr(found))}; it returns text")
-    return (clean_line(found),) if found else ()
+    remark = codec.remark()
+    if not isinstance(remark, str):
+        raise PluginError(f"remark returned {clean_line(repr(remark))}; it returns text")
+    return (clean_line(remark),) if remark else ()
 
 
 def _libraries(codec: AnyCodec[Any]) -> dict[str, str]:
-    found = codec.libraries()
-    if not isinstance(found, dict) or not all(isinstance(text, str) for pair in found.items() for text in pair):
-        raise PluginError(f"libraries returned {clean_line(repr(found))}; it returns names with their versions")
-    return {clean_line(name): clean_line(version) for name, version in found.items()}
+    versions = codec.libraries()
+    if not isinstance(versions, dict) or not all(isinstance(text, str) for pair in versions.items() for text in pair):
+        raise PluginError(f"libraries returned {clean_line(repr(versions))}; it returns names with their versions")
+    return {clean_line(name): clean_line(version) for name, version in versions.items()}
+
+
+def task_of(work: Work, settings: RunSettings, store: Store, shares_files: bool) -> Task:
+    """Return a job or cell as a task. shares_files: whether the executor's workers see the run folder."""
+    item = WorkItem(
+        work, _bitstreams(work, store, shares_files), cache_limit_bytes(settings.memory_mb), is_confinement_requested()
+    )
+    exclusive = isinstance(work, Cell) and work.exclusive
+    limits = settings.timeout_s, settings.memory_mb
+    return Task(work.id, perform, item, *limits, exclusive)
+
+
+def _bitstreams(work: Work, store: Store, shares_files: bool) -> Path | bytes | None:
+    """Return the file that a job writes or a cell reads; its content if workers do not see the folder."""
+    job_id = work.id if isinstance(work, CodingJob) else work.job_id
+    if job_id is None:
+        return None
+    path = store.coded_path(job_id).absolute()
+    if shares_files:
+        return path
+    return None if isinstance(work, CodingJob) else path.read_bytes()
+
+
+def outcome_of(work: Work, finished: Finished) -> Record | BitstreamDamage | OSError:
+    """Return the record, the damage or the full disk that a task of this work ended with.
+
+    `worker` of a record is empty if its worker died.
+    """
+    if finished.status == "ok":
+        return finished.value  # type: ignore[no-any-return]
+    foreign_plugins = [plugin.full_name for plugin in work.plugins if plugin.distribution]
+    activity = "encoding" if isinstance(work, CodingJob) else "evaluating"
+    reason = (
+        f"{' or '.join(foreign_plugins)} while {activity}: {finished.reason}" if foreign_plugins else finished.reason
+    )
+    return Record(work.id, finished.status, clean_line(reason), clean_text(finished.traceback))

@@ -1,8 +1,8 @@
-"""How many values become one: the aggregates that a metric may name.
+"""Aggregates that a metric may name: each turns many values into one.
 
-Infinite values (the PSNR of identical images) are kept apart from means: `mean` and `std` use the finite values, and
-a mean is infinite only where every value is. Order statistics and the bootstrap of the median take them as they come.
-Missing values (NaN) are left out; an aggregate of nothing is NaN.
+Infinite values (the PSNR of identical images) are excluded from `mean` and `std`; a mean is infinite only if every
+value is. Order statistics and the bootstrap of the median use them as they are. Missing values (NaN) are ignored; an
+aggregate of no values is NaN.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
 
 _MOST_PICKS: Final = 4_000_000
-"""Values that resampling holds at a time."""
+"""Maximum number of resampled values in memory at a time."""
 
 Values = NDArray[np.float64]
 
 BOOTSTRAP_RESAMPLES: Final = 2000
-"""Resamples behind a confidence interval: the ends of a 95 % interval rest on 50 of them each."""
+"""Resamples behind a confidence interval: 50 of them lie beyond each end of a 95 % interval."""
 
 
 def median_interval(values: Values) -> tuple[float, float]:
-    """Percentile-bootstrap 95 % interval of the median; NaN for fewer than three values.
+    """Return the percentile-bootstrap 95 % interval of the median; NaN for fewer than three values.
 
     The resampling is seeded, so that equal values give equal intervals (Efron and Tibshirani 1993, chapter 13).
     """
@@ -43,14 +43,14 @@ def median_interval(values: Values) -> tuple[float, float]:
     return percentile(medians, 2.5), percentile(medians, 97.5)
 
 
-def percentile(values: Values, share: float) -> float:
-    """Linear interpolation between order statistics that infinite values survive; NaN between -inf and inf."""
+def percentile(values: Values, percent: float) -> float:
+    """Interpolate linearly between order statistics, which may be infinite; NaN between -inf and inf."""
     ordered = np.sort(values)
-    at = share / 100.0 * (len(ordered) - 1)
-    low, high = ordered[int(np.floor(at))], ordered[int(np.ceil(at))]
+    position = percent / 100.0 * (len(ordered) - 1)
+    low, high = ordered[int(np.floor(position))], ordered[int(np.ceil(position))]
     if low == high or (np.isneginf(low) and np.isfinite(high)):
         return float(low)
-    return float(low + (high - low) * (at - np.floor(at)))
+    return float(low + (high - low) * (position - np.floor(position)))
 
 
 def _mean(values: Values) -> float:
@@ -59,7 +59,7 @@ def _mean(values: Values) -> float:
 
 
 def _std(values: Values) -> float:
-    """With n - 1; NaN for fewer than two values."""
+    """Return the standard deviation with n - 1; NaN for fewer than two values."""
     finite = values[np.isfinite(values)]
     return float(np.std(finite, ddof=1)) if len(finite) > 1 else float("nan")
 
@@ -85,30 +85,32 @@ AGGREGATES: Final[dict[str, Callable[[Values], float]]] = {
 
 
 def aggregate(name: str, values: Values) -> float:
-    """One aggregate of the values that are not NaN; NaN where there are none. Raises KeyError for unknown names."""
+    """Return one aggregate of the values that are not NaN; NaN if there are none. Raises KeyError for unknown names."""
     function = AGGREGATES[name]
     present = values[~np.isnan(values)]
     return function(present) if len(present) else float("nan")
 
 
 def summarise(samples: Iterable[Measurement], metrics: Iterable[Metric]) -> dict[tuple[str, str, str], float]:
-    """The declared aggregates of per-frame measurements, by (metric, stage, aggregate).
+    """Return the declared aggregates of per-frame measurements, by (metric, stage, aggregate).
 
-    Where values are infinite, their number is added as the aggregate `infinite`. Raises OverflowError for an aggregate
-    that is infinite where no value is.
+    If values are infinite, their number is added as the aggregate `infinite`. Raises OverflowError for an aggregate
+    that is infinite though no value is.
     """
     declared = {metric.name: metric.aggregates for metric in metrics}
     values: dict[tuple[str, str], list[float]] = defaultdict(list)
     for sample in samples:
         values[sample.metric, sample.stage or ""].append(sample.value)
-    found: dict[tuple[str, str, str], float] = {}
+    summaries: dict[tuple[str, str, str], float] = {}
     for (name, stage), series in values.items():
         array, has_infinite = np.array(series, dtype=np.float64), any(map(math.isinf, series))
-        for how in declared[name]:
+        for aggregate_name in declared[name]:
             with np.errstate(over="ignore"):
-                value = found[name, stage, how] = aggregate(how, array)
+                value = summaries[name, stage, aggregate_name] = aggregate(aggregate_name, array)
             if math.isinf(value) and not has_infinite:
-                raise OverflowError(f"{name}: {how} of {len(series)} finite values is too large for a number")
+                raise OverflowError(
+                    f"{name}: {aggregate_name} of {len(series)} finite values is too large for a number"
+                )
         if has_infinite:
-            found[name, stage, "infinite"] = aggregate("infinite", array)
-    return found
+            summaries[name, stage, "infinite"] = aggregate("infinite", array)
+    return summaries

@@ -1,7 +1,7 @@
-"""Files and folders that are complete or absent: written beside their place, then renamed into it.
+"""Write files and folders that are complete or absent: each is written beside its place, then renamed into it.
 
-What is `durable` is on the disk when the function returns, with every folder that leads to it, and outlasts a power
-cut; it takes milliseconds. What is not may be lost or damaged by one until `sync_file_system` was called.
+With `durable`, the data and all folders that lead to it are on disk when the function returns, and survive a power cut;
+that takes milliseconds. Without it, a power cut may lose or damage them until `sync_file_system` was called.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _libc: Final = ctypes.CDLL(None, use_errno=True)
 
 
 def write_file(path: Path, content: bytes, *, durable: bool = False) -> None:
-    """Put `content` at `path`, replacing what was there in one step.
+    """Write `content` to `path`, replacing what was there in one step.
 
     Raises OSError (disk full, read-only) and then leaves `path` as it was.
     """
@@ -29,9 +29,9 @@ def write_file(path: Path, content: bytes, *, durable: bool = False) -> None:
 
 @contextmanager
 def open_whole(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
-    """A file to write that appears at `path` when the block ends well, and not at all when it does not.
+    """Open a file for writing that appears at `path` only if the block ends without an error.
 
-    What is no file (a device, a pipe) is written to as it is.
+    Devices and pipes are written to directly.
     """
     if path.exists() and not path.is_file():
         with open(path, "wb") as stream:
@@ -57,7 +57,7 @@ def open_whole(path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
 
 
 def make_folder(path: Path, *, durable: bool = False) -> None:
-    """Make a folder and those above it, where they are missing. Raises OSError."""
+    """Make a folder and its missing parents. Raises OSError."""
     missing = [folder for folder in (path, *path.parents) if not folder.exists()] if durable else []
     path.mkdir(parents=True, exist_ok=True)
     for folder in missing:
@@ -66,7 +66,7 @@ def make_folder(path: Path, *, durable: bool = False) -> None:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """An error of the system meanwhile names `path`, where it names nothing or what is only there meanwhile."""
+    """Set the file name of OSErrors raised in the block to `path` if they name no file or a temporary one."""
     try:
         yield
     except OSError as error:
@@ -77,11 +77,11 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def write_folder(path: Path, contents: Mapping[str, bytes], *, durable: bool = False) -> None:
-    """Put a folder of files at `path`, replacing what was there.
+    """Write a folder of files to `path`, replacing what was there.
 
     A reader sees the old folder, none or the new one, never a mixture. Raises OSError like `write_file`.
     """
-    with whole_folder(path, durable=durable) as new:
+    with open_whole_folder(path, durable=durable) as new:
         for name, content in contents.items():
             _write_plain(new / name, content, durable)
         if durable:
@@ -91,10 +91,10 @@ def write_folder(path: Path, contents: Mapping[str, bytes], *, durable: bool = F
 
 
 @contextmanager
-def whole_folder(path: Path, *, durable: bool = False) -> Iterator[Path]:
-    """A folder to fill that appears at `path`, which is not there by then, when the block ends well; or not at all.
+def open_whole_folder(path: Path, *, durable: bool = False) -> Iterator[Path]:
+    """Yield a folder to fill; it appears at `path`, which must not exist, only if the block ends without an error.
 
-    What the block puts into it is made durable by the block. Raises OSError.
+    The block must make its own files durable. Raises OSError.
     """
     with _naming(path):
         make_folder(path.parent, durable=durable)
@@ -118,13 +118,13 @@ def remove_folder(path: Path) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Delete what interrupted writers left in `folder`. Only for the one process that may write there."""
+    """Delete what interrupted writers left in `folder`. Only the one process that may write there may call this."""
     for pattern in (".new-*", ".old-*"):
-        for rest in folder.glob(pattern):
-            if rest.is_dir():
-                shutil.rmtree(rest, ignore_errors=True)
+        for leftover in folder.glob(pattern):
+            if leftover.is_dir():
+                shutil.rmtree(leftover, ignore_errors=True)
             else:
-                rest.unlink(missing_ok=True)
+                leftover.unlink(missing_ok=True)
 
 
 def _write_plain(path: Path, content: bytes, durable: bool) -> None:
@@ -136,22 +136,22 @@ def _write_plain(path: Path, content: bytes, durable: bool) -> None:
 
 
 def sync_file_system(folder: Path) -> None:
-    """Wait until the disk has everything that was written on the file system of `folder`.
+    """Wait until everything written on the file system of `folder` is on disk.
 
     For many small files this is faster by orders of magnitude than waiting for each. Raises OSError.
     """
-    with _opened(folder) as handle:
+    with _folder_descriptor(folder) as handle:
         if _libc.syncfs(handle) != 0:
             raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(folder))
 
 
 def _sync_folder(folder: Path) -> None:
-    with _opened(folder) as handle:
+    with _folder_descriptor(folder) as handle:
         os.fsync(handle)
 
 
 @contextmanager
-def _opened(folder: Path) -> Iterator[int]:
+def _folder_descriptor(folder: Path) -> Iterator[int]:
     handle = os.open(folder, os.O_RDONLY)
     try:
         yield handle

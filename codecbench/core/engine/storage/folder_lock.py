@@ -1,6 +1,6 @@
 """The lock of a run folder, which one process holds while it writes.
 
-It is the system's (flock): it ends with its process, however that ends, and cannot go stale.
+It is a system lock (flock): it ends with its process, however that ends, and cannot go stale.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from codecbench.core.engine.text import clean_line
 
 
 @contextmanager
-def held(file: Path) -> Iterator[None]:
-    """Hold the lock and write in its file who does. Raises StoreError where another process holds it, and OSError."""
+def hold_lock(file: Path) -> Iterator[None]:
+    """Hold the lock and write the holder into its file. Raises OSError, and StoreError if another process holds it."""
     with open(file, "a+", encoding="utf-8", errors="replace") as stream:
-        if not _locked(stream):
+        if not _try_lock(stream):
             stream.seek(0)
             holder = clean_line(stream.read(1000).strip()) or "another process"
             message = f"{file.parent} is in use by {holder}; wait for it to end or choose another folder with --out"
@@ -33,7 +33,7 @@ def held(file: Path) -> Iterator[None]:
         yield
 
 
-def is_held(file: Path) -> bool:
+def is_locked(file: Path) -> bool:
     """Whether a process holds the lock now."""
     try:
         with open_plain(file) as stream:
@@ -45,8 +45,8 @@ def is_held(file: Path) -> bool:
     return False
 
 
-def _locked(stream: TextIO) -> bool:
-    """Lock an open file for this process alone; tries for a moment, for `is_held` may just be looking."""
+def _try_lock(stream: TextIO) -> bool:
+    """Lock an open file exclusively; retries briefly, because `is_locked` may hold it for a moment."""
     for _ in range(4):
         with suppress(BlockingIOError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

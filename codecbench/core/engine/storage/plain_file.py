@@ -1,4 +1,4 @@
-"""Reading from a folder that may have come from elsewhere: plain files only, and no way out of it."""
+"""Read from a folder that may come from elsewhere: plain files only, and no links out of it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from codecbench.core.contracts.errors import StoreError
 
 
 def open_plain(path: str | Path) -> BinaryIO:
-    """Open a plain file to read. Raises OSError as `open` does, and for links, folders, pipes and devices."""
+    """Open a plain file for reading. Raises OSError as `open` does, and for links, folders, pipes and devices."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
@@ -26,25 +26,25 @@ def open_plain(path: str | Path) -> BinaryIO:
 
 
 def read_plain(path: str | Path) -> bytes:
-    """The content of a plain file. Raises OSError like `open_plain`."""
+    """Return the content of a plain file. Raises OSError like `open_plain`."""
     with open_plain(path) as stream:
         return stream.read()
 
 
-def refuse_links(folder: Path, depth: int, home: Path | None = None) -> None:
-    """Raise StoreError where something below `folder`, down to `depth` levels, is a link that leads out of `home`.
+def refuse_links(folder: Path, depth: int, root: Path | None = None) -> None:
+    """Raise StoreError if a link below `folder`, down to `depth` levels, leads out of `root`.
 
-    home: by default, the folder itself.
+    root: by default, the folder itself.
     """
-    home = home or folder.resolve()
+    root = root or folder.resolve()
     try:
         entries = list(os.scandir(folder))
     except (FileNotFoundError, NotADirectoryError):
         return
     for entry in entries:
-        if entry.is_symlink() and not Path(entry.path).resolve().is_relative_to(home):
+        if entry.is_symlink() and not Path(entry.path).resolve().is_relative_to(root):
             target = os.readlink(entry.path)
             message = f"{entry.path} is a link to {target}, out of the run folder; links are not followed out of it"
             raise StoreError(f"{message}: put a file or folder of its own there, or remove it")
         if depth > 1 and entry.is_dir(follow_symlinks=False):
-            refuse_links(Path(entry.path), depth - 1, home)
+            refuse_links(Path(entry.path), depth - 1, root)

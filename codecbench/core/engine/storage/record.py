@@ -1,4 +1,4 @@
-"""A record: everything that is kept of one cell, as a JSON document with a checksum over itself and its files."""
+"""A record: everything stored about one cell, as a JSON document with a checksum over itself and its files."""
 
 from __future__ import annotations
 
@@ -31,47 +31,47 @@ Summaries = dict[tuple[str, str, str], float]
 
 
 class RecordDamage(StoreError):
-    """A record on disk is truncated, changed or from another version; the engine computes its cell again."""
+    """Raised for a truncated, changed or incompatible record; the engine computes its cell again."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """What became of a cell; a coding job ends in one too, which is not kept.
-
-    measurements: those that belong to no frame; the others are in the Parquet file, aggregated in
-    `summaries`. metrics: names of all that its evaluator declared. files: size and digest of each file beside the
-    record. environment: id of the description of where it was computed, None if its worker did not live to tell.
-    libraries: the codec's foreign libraries. code: distribution and fingerprint of each plugin that ran, see
-    `plugin_code`, and of the codec that wrote the bitstreams. started_utc: ISO 8601. worker: host and process, and the
-    distributions of others whose code ran there. cell: what entered its identity, in readable form. notes: what is to
-    be known of the codec's setting beside its numbers.
-
-    Only on the way from a worker to the run folder: contents, the files beside the record by name; and
-    environment_description, what `environment` is the id of.
-    """
+    """The result of a cell. A coding job also ends in one, which is not stored."""
 
     cell_id: str
     status: Status
     reason: str = ""
     traceback: str = ""
     measurements: tuple[Measurement, ...] = ()
+    """Measurements that belong to no frame; the others are in the Parquet file, aggregated in `summaries`."""
     summaries: Summaries = field(default_factory=dict)
     metrics: tuple[str, ...] = ()
+    """Names of all metrics that the evaluator declared."""
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Size and digest of each file beside the record."""
     environment: str | None = None
+    """Id of the environment it was computed in; None if its worker died."""
     libraries: dict[str, str] = field(default_factory=dict)
+    """The codec's third-party libraries with their versions."""
     code: dict[str, str] = field(default_factory=dict)
+    """Distribution and fingerprint of each plugin that ran (`code_of`), and of the encoder of the bitstreams."""
     started_utc: str = ""
+    """ISO 8601."""
     duration_s: float = 0.0
     worker: dict[str, Any] = field(default_factory=dict)
+    """Host, process id, and what confined other distributions' code, if anything did."""
     cell: dict[str, Any] = field(default_factory=dict)
+    """What entered the cell's identity, in readable form."""
     notes: tuple[str, ...] = ()
+    """Remarks on the codec's setting."""
     contents: dict[str, bytes] = field(default_factory=dict, repr=False)
+    """The files beside the record by name; only on the way from a worker to the run folder."""
     environment_description: dict[str, Any] = field(default_factory=dict, repr=False)
+    """The description behind `environment`; only on the way from a worker to the run folder."""
 
 
 FileName = Annotated[str, Field(pattern=r"^[^./\x00][^/\x00]*$")]
-"""Of a file beside a record: in its folder and nowhere else."""
+"""Name of a file beside a record: in its folder and nowhere else."""
 
 _Value = float | Literal["inf", "-inf"] | None
 
@@ -85,7 +85,7 @@ class _Plugin(_Document):
 
 
 class _Description(_Document):
-    """What readers rely on of a cell's description."""
+    """The parts of a cell's description that readers rely on."""
 
     codec: _Plugin | None = None
     evaluator: _Plugin | None = None
@@ -98,7 +98,7 @@ class _File(_Document):
 
 
 class _Body(_Document):
-    """A record as JSON types; entries that a later version may add are left out."""
+    """A record as JSON types; entries that a later version adds are ignored."""
 
     cell_id: str
     status: Status
@@ -119,17 +119,17 @@ class _Body(_Document):
 
 
 def cell_description(cell: Cell) -> dict[str, Any]:
-    """What entered the cell's identity, in readable form, so that a record means something on its own."""
+    """Return what entered the cell's identity, in readable form, so that a record is meaningful on its own."""
 
-    def described(setting: PluginSetting) -> dict[str, Any]:
+    def setting_fields(setting: PluginSetting) -> dict[str, Any]:
         return {"name": setting.name, "version": setting.version, "params": setting.params, "label": setting.label}
 
     return {
         "sequence": {"name": cell.sequence.name, "fingerprint": cell.sequence.fingerprint},
-        "dataset": described(cell.sequence.dataset),
-        "codec": described(cell.codec),
-        "evaluator": described(cell.evaluator),
-        "uses": [{"kind": used.kind, **described(used)} for used in cell.evaluator.uses],
+        "dataset": setting_fields(cell.sequence.dataset),
+        "codec": setting_fields(cell.codec),
+        "evaluator": setting_fields(cell.evaluator),
+        "uses": [{"kind": used.kind, **setting_fields(used)} for used in cell.evaluator.uses],
         "repeat": cell.repeat,
         "seed": cell.seed,
         **({"inputs": cell.inputs} if cell.inputs else {}),
@@ -137,13 +137,13 @@ def cell_description(cell: Cell) -> dict[str, Any]:
 
 
 def settings_digest(description: dict[str, Any]) -> str:
-    """The digest of all parameters of the plugins that a cell's description names, those at their default too."""
-    named = [description.get("codec") or {}, description.get("evaluator") or {}, *description.get("uses", ())]
-    return digest([plugin.get("params") for plugin in named])
+    """Return the digest of all parameters, including defaults, of the plugins in a cell's description."""
+    plugins = [description.get("codec") or {}, description.get("evaluator") or {}, *description.get("uses", ())]
+    return digest([plugin.get("params") for plugin in plugins])
 
 
 def bytes_from_record(record: Record) -> bytes:
-    """The record as JSON with a checksum over everything else in it."""
+    """Return the record as JSON with a checksum over everything else in it."""
     body = {name: getattr(record, name) for name in record.__dataclass_fields__ if name not in _TRANSIENT}
     if not record.notes:
         del body["notes"]
@@ -155,10 +155,9 @@ def bytes_from_record(record: Record) -> bytes:
 
 
 def record_from_bytes(content: bytes, *, known_good: bool = False) -> Record:
-    """The record that `bytes_from_record` wrote. Raises RecordDamage for anything else.
+    """Read the record that `bytes_from_record` wrote. Raises RecordDamage for anything else.
 
-    known_good: these bytes were already found equal to those that were written, so that the checksum inside
-    need not be worked out again.
+    known_good: whether the content's digest was already checked, so that the checksum inside need not be.
     """
     try:
         body = json_from_bytes(content)
@@ -174,14 +173,14 @@ def record_from_bytes(content: bytes, *, known_good: bool = False) -> Record:
     except ValidationError as error:
         first = error.errors()[0]
         raise RecordDamage(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-    known = {name: body[name] for name in _Body.model_fields if name in body}
-    known["metrics"] = tuple(body.get("metrics", ()))
-    known["notes"] = tuple(map(clean_line, body.get("notes", ())))
-    known["measurements"] = tuple(measurement_from_json(row) for row in body["measurements"])
-    known["summaries"] = {
-        (clean_line(metric), clean_line(stage), clean_line(how)): value_from_json(value)
-        for metric, stage, how, value in body["summaries"]
+    fields = {name: body[name] for name in _Body.model_fields if name in body}
+    fields["metrics"] = tuple(body.get("metrics", ()))
+    fields["notes"] = tuple(map(clean_line, body.get("notes", ())))
+    fields["measurements"] = tuple(measurement_from_json(row) for row in body["measurements"])
+    fields["summaries"] = {
+        (clean_line(metric), clean_line(stage), clean_line(aggregate)): value_from_json(value)
+        for metric, stage, aggregate, value in body["summaries"]
     }
-    known["code"] = clean_value(body.get("code", {}))
-    known["reason"], known["traceback"] = clean_line(body["reason"]), clean_text(body["traceback"])
-    return Record(**known)
+    fields["code"] = clean_value(body.get("code", {}))
+    fields["reason"], fields["traceback"] = clean_line(body["reason"]), clean_text(body["traceback"])
+    return Record(**fields)

@@ -1,8 +1,8 @@
-"""A list of all records in one append-only file, so that 100,000 of them are listed in a second.
+"""An append-only file that lists all records, so that listing 100,000 of them takes a second.
 
-The records are the truth and the index is a copy: a line that is torn, damaged or missing is rebuilt from the
-record, and a line without a record is dropped. Each line carries a CRC of itself and the digests of the
-record and its files, so that checking a record needs no parsing.
+The records are the truth and the index is a copy: a torn, damaged or missing line is rebuilt from its record, and a
+line without a record is dropped. Each line has a CRC of itself and the digests of the record and its files, so that a
+record can be checked without parsing it.
 """
 
 from __future__ import annotations
@@ -25,28 +25,27 @@ from codecbench.core.engine.text import clean_line
 
 _SEPARATOR: Final = " "
 _LINE: Final = TypeAdapter(Annotated[tuple[str, str, str, float, dict[FileName, str], str, str], Strict(False)])
-"""Fields of a line; where one is otherwise, as earlier versions wrote it, the record is read instead."""
+"""Fields of a line; if a line differs, as earlier versions wrote it, the record is read instead."""
 
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """What is known of a record without opening it.
-
-    digests: of `record.json` and each file beside it. settings: digest of the parameters of all its plugins.
-    code: digest of the fingerprints of their code, empty where the record does not tell them.
-    """
+    """What the index stores about a record."""
 
     cell_id: str
     status: str
     reason: str
     duration_s: float
     digests: dict[str, str]
+    """Digests of `record.json` and of each file beside it."""
     settings: str
+    """Digest of the parameters of all its plugins."""
     code: str
+    """Digest of the fingerprints of their code; empty if the record does not have them."""
 
 
 def entry_from_record(record: Record, content: bytes) -> IndexEntry:
-    """The entry of a record whose file holds `content`."""
+    """Return the entry of a record whose file has this content."""
     digests = {RECORD_FILE: content_digest(content)}
     digests |= {name: facts["digest"] for name, facts in record.files.items()}
     settings = settings_digest(record.cell)
@@ -61,20 +60,20 @@ class RecordIndex:
         self._path = path
 
     def read(self) -> dict[str, IndexEntry]:
-        """The latest entry of each cell; damaged lines are left out."""
+        """Return the latest entry of each cell; damaged lines are skipped."""
         try:
             content = read_plain(self._path)
         except OSError:
             return {}
-        found: dict[str, IndexEntry] = {}
+        entries: dict[str, IndexEntry] = {}
         for line in content.split(b"\n"):
             entry = _entry_from_line(line)
             if entry is not None:
-                found[entry.cell_id] = entry
-        return found
+                entries[entry.cell_id] = entry
+        return entries
 
     def append(self, entry: IndexEntry) -> None:
-        """Add one entry. A torn last line, left by a crash, is closed off first."""
+        """Append one entry; first terminate a torn last line left by a crash."""
         line = _line_from_entry(entry) + b"\n"
         with open(self._path, "ab+", buffering=0) as stream:
             end = stream.tell()

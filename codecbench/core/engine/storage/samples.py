@@ -1,4 +1,4 @@
-"""Measurements of a cell: checked as they come, and kept per frame as a small Parquet file."""
+"""Measurements of a cell: checked as they are yielded, and stored per frame as a small Parquet file."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ if TYPE_CHECKING:
 
 
 class MeasurementError(CodecbenchError):
-    """An evaluator yielded something that is not a measurement of a metric that it declared."""
+    """Raised if an evaluator yields something that is not a measurement of a metric that it declared."""
 
 
 MOST_WITHOUT_FRAME: Final = 5_000
 MOST_A_FRAME: Final = 1_000
 MOST_OF_FRAMES: Final = 1_000_000
 MOST_STAGES: Final = 1_000
-"""Measurements of one cell that belong to no frame; to frames, for each frame that the sequence has, and in all; stages
-of one metric. With more, tables would take minutes, and what there is to say is better said by fewer."""
+"""Limits in one cell, because tables with more would take minutes.
+
+They are numbers of measurements without a frame, per frame, and of frames in total, and of stages of one metric.
+"""
 
 
 class MeasurementCheck:
-    """Checks what an evaluator yields in a cell against what it declared, and that there is an end to it."""
+    """Checks what an evaluator yields in a cell against what it declared, and limits how much."""
 
     def __init__(self, evaluator: Evaluator[Any], frames: int) -> None:
         self._metrics = {metric.name for metric in evaluator.metrics}
@@ -38,12 +40,12 @@ class MeasurementCheck:
         self._most_of_frames = min(MOST_A_FRAME * frames, MOST_OF_FRAMES)
         self._without_frame = self._of_frames = 0
 
-    def checked(self, measurements: Iterable[Measurement], frame: int | None = None) -> Iterator[Measurement]:
-        """The measurements, with `frame` filled in where given. Raises MeasurementError at the first wrong one."""
+    def check(self, measurements: Iterable[Measurement], frame: int | None = None) -> Iterator[Measurement]:
+        """Yield the measurements, with `frame` filled in if given. Raises MeasurementError at the first invalid one."""
         for measurement in measurements:
-            yield self._checked(measurement, frame)
+            yield self._check_one(measurement, frame)
 
-    def _checked(self, measurement: object, frame: int | None) -> Measurement:
+    def _check_one(self, measurement: object, frame: int | None) -> Measurement:
         if not isinstance(measurement, Measurement):
             raise MeasurementError(f"yielded {type(measurement).__name__}; evaluators yield Measurement")
         name, value = measurement.metric, measurement.value
@@ -67,7 +69,7 @@ class MeasurementCheck:
         return Measurement(name, float(value), None if frame is None else int(frame), stage, reason)
 
     def _count(self, name: str, stage: str | None, frame: int | None) -> None:
-        """Raise MeasurementError where a cell has more than any table should have to show."""
+        """Raise MeasurementError if a cell has more measurements than a table should have to show."""
         self._without_frame += frame is None
         self._of_frames += frame is not None
         self._stages[name].add(stage)
@@ -83,11 +85,11 @@ class MeasurementCheck:
 
 
 def parquet_from_samples(samples: list[Measurement]) -> bytes:
-    """Per-frame measurements as a Parquet file: metric, frame, stage, value, reason, in the given order.
+    """Return per-frame measurements as a Parquet file: metric, frame, stage, value, reason, in the given order.
 
-    The columns are made of buffers, because `pyarrow.array` imports pandas: half a second of every worker.
+    The columns are built from buffers, because `pyarrow.array` imports pandas: half a second in every worker.
     """
-    import pyarrow as pa
+    import pyarrow as pa  # slow, and most commands do not need it
     import pyarrow.parquet as pq
 
     values = np.array([sample.value for sample in samples], np.float64)
@@ -106,7 +108,7 @@ def parquet_from_samples(samples: list[Measurement]) -> bytes:
 
 
 def _integer_column(values: list[int | None]) -> pyarrow.Array:
-    """Integers from 0, with None as null."""
+    """Return a column of integers from 0, with None as null."""
     import pyarrow as pa
 
     filled = np.array([-1 if value is None else value for value in values], np.int32)
@@ -115,7 +117,7 @@ def _integer_column(values: list[int | None]) -> pyarrow.Array:
 
 
 def _text_column(values: list[str | None]) -> pyarrow.DictionaryArray:
-    """Each different text once, with None as null."""
+    """Return a dictionary-encoded column of texts, with None as null."""
     import pyarrow as pa
 
     places = {text: place for place, text in enumerate(dict.fromkeys(text for text in values if text is not None))}
@@ -127,7 +129,7 @@ def _text_column(values: list[str | None]) -> pyarrow.DictionaryArray:
 
 
 def table_from_parquet(content: bytes) -> pyarrow.Table:
-    """The columns that `parquet_from_samples` wrote. Raises ValueError or OSError for anything else."""
+    """Read the columns that `parquet_from_samples` wrote. Raises ValueError or OSError for anything else."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -141,24 +143,24 @@ def table_from_parquet(content: bytes) -> pyarrow.Table:
 
 
 def json_from_value(value: float) -> float | str | None:
-    """A value that JSON can hold: infinities as text, NaN as null."""
+    """Convert a value to JSON: infinities become text, NaN becomes null."""
     if math.isfinite(value):
         return value
     return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
 
 
 def value_from_json(value: float | str | None) -> float:
-    """The value that `json_from_value` wrote."""
+    """Read the value that `json_from_value` wrote."""
     return math.nan if value is None else float(value)
 
 
 def json_from_measurement(measurement: Measurement) -> list[Any]:
-    """[metric, value, stage, reason] of a measurement that belongs to no frame."""
+    """Return [metric, value, stage, reason] of a measurement that belongs to no frame."""
     return [measurement.metric, json_from_value(measurement.value), measurement.stage, measurement.reason]
 
 
 def measurement_from_json(row: list[Any]) -> Measurement:
-    """The measurement that `json_from_measurement` wrote."""
+    """Read the measurement that `json_from_measurement` wrote."""
     metric, value, stage, reason = row
     stage, reason = (None if text is None else clean_line(text) for text in (stage, reason))
     return Measurement(clean_line(metric), value_from_json(value), None, stage, reason)

@@ -1,11 +1,11 @@
-"""A run folder: what is where, who may write, and what is still sound.
+"""A run folder: its layout, who may write to it, and which of its files are sound.
 
     matrix.yaml  plan.json  environment/<id>.json  coded/<job>  records/<xx>/<cell>/record.json
     records/index.jsonl  tables/  report/  run.log  lock
 
-Every file is written whole and renamed. A record is one folder (record.json, frames.parquet, artifacts) that
-is renamed into place whole, so it is complete or absent. Every file says what it belongs to and carries a checksum:
-damage is found, reported, and made again by the next run. Links that lead out of the folder are refused.
+Every file is written whole and then renamed. A record is one folder (record.json, frames.parquet, artifacts) that is
+renamed into place, so it is complete or absent. Every file identifies what it belongs to and carries a checksum: damage
+is detected, reported, and repaired by the next run. Links that lead out of the folder are refused.
 """
 
 from __future__ import annotations
@@ -30,9 +30,8 @@ from codecbench.core.engine.storage.atomic import (
     write_file,
     write_folder,
 )
-from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
-from codecbench.core.engine.storage.encoder_notes import EncoderNotes
-from codecbench.core.engine.storage.environment_files import EnvironmentFiles
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, EncoderNotes
+from codecbench.core.engine.storage.environment import EnvironmentFiles
 from codecbench.core.engine.storage.plain_file import read_plain, refuse_links
 from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.record import (
@@ -48,15 +47,17 @@ from codecbench.core.engine.storage.record_index import IndexEntry, RecordIndex,
 log = logging.getLogger("codecbench.store")
 
 _DEPTH: Final = 3
-"""Levels of a run folder on which it has files and folders of its own: `records/ab/<cell>`."""
+"""Depth down to which a run folder has files and folders of its own: `records/ab/<cell>`."""
 
 _DURABLE_FROM_S: Final = 1.0
-"""A record of a cell that took longer is waited for until the disk has it; the disk has quicker ones, which are cheaper
-to compute again, when the run ends."""
+"""Write records of cells that took at least this many seconds durably.
+
+Quicker ones, which are cheaper to compute again, reach the disk when the run ends.
+"""
 
 
 class Store:
-    """The files of one run. Reading needs nothing; writing needs `locked`, which only one process can hold."""
+    """The files of one run. Writing needs `locked`, which only one process can hold; reading needs nothing."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -69,37 +70,37 @@ class Store:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the folder for writing. Raises StoreError where another process does, or a link leads out of it.
+        """Lock the folder for writing. Raises StoreError if another process holds it, or a link leads out of it.
 
-        When it is given back, the disk has all that was written.
+        When the lock is released, everything written is on disk.
         """
         with ExitStack() as stack:
             with self._writing():
                 make_folder(self.folder, durable=True)
                 self.refuse_links()
-                stack.enter_context(folder_lock.held(self.folder / "lock"))
-                self._tidy()
+                stack.enter_context(folder_lock.hold_lock(self.folder / "lock"))
+                self._prepare_folders()
             yield
             with self._writing():
                 sync_file_system(self.folder)
 
     def refuse_links(self) -> None:
-        """Raise StoreError where a file or folder of the run is a link that leads out of its folder."""
+        """Raise StoreError if a file or folder of the run is a link that leads out of its folder."""
         refuse_links(self.folder, _DEPTH)
 
     def in_use(self) -> bool:
         """Whether a process is writing to this folder now."""
-        return folder_lock.is_held(self.folder / "lock")
+        return folder_lock.is_locked(self.folder / "lock")
 
     def write_plan(self, plan: Plan) -> None:
-        """Keep the plan and the matrix that it was made of. Raises StoreError where that cannot be written."""
+        """Write the plan and the matrix that it was made from. Raises StoreError if that fails."""
         with self._writing():
             PlanFile(self.folder).write(plan)
 
     def read_plan(self) -> Plan:
-        """The plan of the last run in this folder.
+        """Return the plan of the last run in this folder.
 
-        Raises StoreError where it is missing or damaged, or the folder has links that lead out of it.
+        Raises StoreError if it is missing or damaged, or if the folder has links that lead out of it.
         """
         self.refuse_links()
         return PlanFile(self.folder).read()
@@ -108,32 +109,32 @@ class Store:
         return self.coded_folder / f"{job_id}.bits"
 
     def has_coded(self, job_id: str, frames: int) -> bool:
-        """Whether a sound file of this job's bitstreams is here; a damaged one is reported and removed."""
+        """Whether a sound file of this job's bitstreams exists; a damaged one is reported and removed."""
         path = self.coded_path(job_id)
         if not path.exists():
             return False
         try:
-            whole = len(BitstreamFile(path, job_id)) == frames
-            if whole and not self.encoders.damaged(job_id):
+            is_complete = len(BitstreamFile(path, job_id)) == frames
+            if is_complete and not self.encoders.damaged(job_id):
                 return True
-            reason = "its note of who encoded it is damaged" if whole else "it has another number of frames"
+            reason = "its note of who encoded it is damaged" if is_complete else "it has another number of frames"
         except BitstreamDamage as error:
             reason = str(error)
         self.drop_coded(job_id, reason)
         return False
 
     def write_coded(self, job_id: str, content: bytes) -> None:
-        """Keep a file of bitstreams that came from a worker which does not see this folder."""
+        """Write a bitstream file that came from a worker which does not see this folder."""
         with self._writing():
             write_file(self.coded_path(job_id), content)
 
     def note_encoder(self, job_id: str, code: str) -> None:
-        """Keep with which code of its codec a job's bitstreams were encoded."""
+        """Note which code of its codec encoded a job's bitstreams."""
         with self._writing():
             self.encoders.write(job_id, code)
 
     def drop_coded(self, job_id: str, reason: str) -> None:
-        """Remove a file of bitstreams, so that the sequence is encoded again when they are needed."""
+        """Remove a bitstream file, so that the sequence is encoded again when needed."""
         log.warning("coded/%s.bits will be encoded again: %s", job_id, reason)
         with self._writing():
             self.coded_path(job_id).unlink(missing_ok=True)
@@ -142,9 +143,9 @@ class Store:
         return Path(f"{self.records_folder}/{cell_id[:2]}/{cell_id}")
 
     def write_record(self, record: Record) -> Record:
-        """Keep a record with its contents, in place of an earlier one, and return it without them.
+        """Write a record with its contents, replacing an earlier one, and return it without them.
 
-        Raises StoreError where that cannot be written (disk full), and then changes nothing.
+        Raises StoreError if that fails (disk full), and then changes nothing.
         """
         contents, description = record.contents, record.environment_description
         files = {name: {"size": len(data), "digest": content_digest(data)} for name, data in contents.items()}
@@ -159,15 +160,15 @@ class Store:
         return record
 
     def read_record(self, cell_id: str, entry: IndexEntry | None = None) -> Record:
-        """The record of a cell, checked. Raises RecordDamage, or StoreError if there is none.
+        """Return the checked record of a cell. Raises RecordDamage, or StoreError if there is none.
 
-        entry: what the index knows of it; a record that has its digest is not checked a second time.
+        entry: its index entry; a record with the digest in it is not checked a second time.
         """
         path = f"{self.records_folder}/{cell_id[:2]}/{cell_id}/{RECORD_FILE}"
         try:
             content = read_plain(path)
-            indexed = entry is not None and content_digest(content) == entry.digests[RECORD_FILE]
-            record = record_from_bytes(content, known_good=indexed)
+            known_good = entry is not None and content_digest(content) == entry.digests[RECORD_FILE]
+            record = record_from_bytes(content, known_good=known_good)
         except FileNotFoundError:
             raise StoreError(f"{self.folder} has no record of cell {cell_id}") from None
         except (RecordDamage, OSError) as error:
@@ -177,7 +178,7 @@ class Store:
         return record
 
     def read_file(self, record: Record, name: str) -> bytes:
-        """A file beside a record, checked against it. Raises RecordDamage where it is not what was written."""
+        """Return a file beside a record. Raises RecordDamage if it is not what was written."""
         path = self.record_folder(record.cell_id) / name
         try:
             content = read_plain(path)
@@ -190,27 +191,27 @@ class Store:
         return content
 
     def samples(self, record: Record) -> bytes | None:
-        """The Parquet file with the record's per-frame measurements, or None where it has none."""
+        """Return the Parquet file with the record's per-frame measurements, or None if it has none."""
         return self.read_file(record, SAMPLES_FILE) if SAMPLES_FILE in record.files else None
 
     def entries(self) -> dict[str, IndexEntry]:
-        """All records as the index knows them, without opening any; records that it misses are read."""
-        known = self._index.read()
-        found: dict[str, IndexEntry] = {}
-        for cell_id in self._present():
-            entry = known.get(cell_id) or self._entry(cell_id)
+        """Return the index entries of all records; only records that the index lacks are opened."""
+        indexed = self._index.read()
+        entries: dict[str, IndexEntry] = {}
+        for cell_id in self._recorded_ids():
+            entry = indexed.get(cell_id) or self._entry(cell_id)
             if entry is not None:
-                found[cell_id] = entry
-        return found
+                entries[cell_id] = entry
+        return entries
 
     def sound_entries(self, cell_ids: Iterable[str]) -> tuple[dict[str, IndexEntry], dict[str, str]]:
-        """Those of these cells whose record is whole to the last byte, and why others with one are not."""
-        known = self.entries()
+        """Return the entries of those cells whose record is intact to the last byte, and why others are damaged."""
+        entries = self.entries()
         sound: dict[str, IndexEntry] = {}
         damaged: dict[str, str] = {}
-        present = self._present()
+        present = self._recorded_ids()
         for cell_id in cell_ids:
-            entry = known.get(cell_id)
+            entry = entries.get(cell_id)
             if entry is None:
                 if cell_id in present:
                     damaged[cell_id] = "its record cannot be read"
@@ -230,12 +231,12 @@ class Store:
                 remove_folder(self.record_folder(cell_id))
 
     def rebuild_index(self) -> None:
-        """Write the index again from what is there; the engine does so when a run ends."""
+        """Write the index again from the records; the engine does so when a run ends."""
         with self._writing():
             self._index.rewrite(self.entries().values())
 
     def refusal(self, error: OSError) -> StoreError:
-        """What ends a run where the system lets neither it nor a worker of it write to its folder."""
+        """Return the error that ends a run if this process or a worker cannot write to the folder."""
         message = f"cannot write to {self.folder}: {error}; all earlier records are kept: fix this and run again"
         return StoreError(message)
 
@@ -267,16 +268,16 @@ class Store:
             log.warning("%s", error)
             return None
 
-    def _present(self) -> set[str]:
-        """Ids of all cells that have a record folder."""
-        found: set[str] = set()
+    def _recorded_ids(self) -> set[str]:
+        """Return the ids of all cells that have a record folder."""
+        ids: set[str] = set()
         if self.records_folder.is_dir():
             for shard in os.scandir(self.records_folder):
                 if len(shard.name) == 2:
-                    found.update(name for name in os.listdir(shard.path) if not name.startswith("."))
-        return found
+                    ids.update(name for name in os.listdir(shard.path) if not name.startswith("."))
+        return ids
 
-    def _tidy(self) -> None:
+    def _prepare_folders(self) -> None:
         """Make the folders and delete what interrupted writers left."""
         for folder in (self.folder, self.records_folder, self.coded_folder, self.environments.folder):
             folder.mkdir(parents=True, exist_ok=True)

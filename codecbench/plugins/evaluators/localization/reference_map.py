@@ -18,7 +18,7 @@ from codecbench.slam.features.extractor import Features
 from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log
 from codecbench.slam.result import FrameTrajectory
 from codecbench.slam.system import BuiltMap
-from codecbench.slam.tracking.localizer import Localizer, Location
+from codecbench.slam.tracking.relocalization import Localizer, Location
 
 Way = Literal["tracked", "relocalized"]
 

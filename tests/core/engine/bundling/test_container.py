@@ -16,9 +16,8 @@ import pytest
 from kept_runs import write_kept_run
 
 from codecbench import StoreError
-from codecbench.core.engine.bundling import container, unpacking
-from codecbench.core.engine.bundling.packing import write_bundle
-from codecbench.core.engine.bundling.unpacking import unpack_bundle
+from codecbench.core.engine.bundling import container, packing
+from codecbench.core.engine.bundling.packing import unpack_bundle, write_bundle
 
 Members = list[tuple[zipfile.ZipInfo, bytes]]
 CELL = "ab" * 16
@@ -270,7 +269,7 @@ def files(folder: Path) -> list[Path]:
 
 def test_a_disk_without_room(sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = type("Usage", (), {"free": 10})
-    monkeypatch.setattr(unpacking.shutil, "disk_usage", lambda folder: usage)
+    monkeypatch.setattr(packing.shutil, "disk_usage", lambda folder: usage)
     with pytest.raises(StoreError, match="has 10 left"):
         unpack_bundle(sound, tmp_path / "opened")
 

@@ -16,7 +16,7 @@ import pytest
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.engine.hosting.channel import Channel, Exposed, PluginFault, PluginNonsense, SharedMemory
 
-UNLOADED = "codecbench.core.analysis.plausibility"
+UNLOADED = "codecbench.core.analysis.bjontegaard"
 
 
 @dataclass
@@ -170,8 +170,8 @@ def test_an_error_returns_to_the_conversation_that_it_came_from_alone() -> None:
     first, other = (Channel(-1, -1, SharedMemory(), SharedMemory(), lambda *_: None, obeys=True) for _ in range(2))
     error = first._error({"error": "DatasetError", "text": "of the first", "raised": 0}, "read")
     assert isinstance(error, DatasetError)
-    assert first._told(error)["returned"] == 0
-    assert other._told(error)["returned"] is None
+    assert first._error_message(error)["returned"] == 0
+    assert other._error_message(error)["returned"] is None
 
 
 def test_memory_that_both_see_grows_and_never_shrinks() -> None:

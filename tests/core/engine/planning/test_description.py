@@ -13,7 +13,7 @@ from distributions import install_source
 from installed_command import Place
 
 from codecbench import PluginError, Unsupported
-from codecbench.core.engine.planning.description import InvalidParams, describe, described, sequence_described
+from codecbench.core.engine.planning.description import InvalidParams, describe, describe_sequence, description_fields
 from codecbench.core.engine.plugins.registry import Registry
 
 EXECUTOR = """
@@ -54,7 +54,7 @@ def registry() -> Registry:
 
 def test_a_description_is_made_of_json_types(registry: Registry) -> None:
     for kind, name, values in (("codec", "shift", {"bits": 3}), ("evaluator", "error", {}), ("executor", "local", {})):
-        told = described(registry, kind, name, values, None)  # type: ignore[arg-type]
+        told = description_fields(registry, kind, name, values, None)  # type: ignore[arg-type]
         assert json.loads(json.dumps(told)) == told
 
 
@@ -109,15 +109,15 @@ def test_a_version_that_is_no_string_is_refused(registry: Registry, monkeypatch:
 
 
 def test_a_sequence_is_told_by_what_it_is(registry: Registry) -> None:
-    told = sequence_described(registry, "ramp", {"frames": 9})
+    told = describe_sequence(registry, "ramp", {"frames": 9})
     assert told["frames"] == 9
     assert json.loads(json.dumps(told)) == told
 
 
 def test_what_a_sequence_notes_is_told_as_plain_text(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert sequence_described(registry, "ramp", {"frames": 9})["notes"] == []
+    assert describe_sequence(registry, "ramp", {"frames": 9})["notes"] == []
     monkeypatch.setattr(plain_plugins.RampSequence, "notes", ("cut\x1b[2J short", *["again"] * 30))
-    told = sequence_described(registry, "ramp", {"frames": 9})["notes"]
+    told = describe_sequence(registry, "ramp", {"frames": 9})["notes"]
     assert told[0] == "cut\\x1b[2J short"
     assert len(told) == 20
 
@@ -128,7 +128,7 @@ def test_notes_that_are_no_sentences_are_refused(
 ) -> None:
     monkeypatch.setattr(plain_plugins.RampSequence, "notes", notes)
     with pytest.raises(PluginError, match=r"RampSequence\.notes is \w+; it is a tuple of strings"):
-        sequence_described(registry, "ramp", {"frames": 9})
+        describe_sequence(registry, "ramp", {"frames": 9})
 
 
 @pytest.mark.thorough

@@ -9,7 +9,7 @@ import pytest
 from search_bench import SearchBench, registry_of_searches
 
 from codecbench.core.contracts.errors import MatrixError
-from codecbench.core.engine.planning import plan_bounds, search_section
+from codecbench.core.engine.planning import search_section
 from codecbench.core.engine.planning.model import SearchFinding, plan_from_json
 from codecbench.core.engine.planning.plan import make_plan, make_sampled_plan
 from codecbench.core.engine.planning.schema import matrix_schema
@@ -133,7 +133,7 @@ def test_nothing_of_a_search_is_planned_before_it_asks(bench: SearchBench) -> No
 def test_a_search_counts_with_its_budget_where_cells_are_too_many(
     bench: SearchBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(plan_bounds, "_MOST_CELLS", 1000)
+    monkeypatch.setattr("codecbench.core.engine.planning.matrix._MOST_CELLS", 1000)
     wide = "{use: dial, params: {level: {range: [0, 1000]}}, %s}"
     bench.matrix(text(wide % "search: {metric: weight_bytes, equal: 3, budget: 5}"))
     many = [wide % f"search: {{metric: weight_bytes, equal: {n}, budget: 900}}" for n in range(6)]

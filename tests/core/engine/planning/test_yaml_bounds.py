@@ -14,8 +14,7 @@ from installed_command import Done
 
 from codecbench.core.contracts.errors import MatrixError
 from codecbench.core.engine.planning.axes import axes, points
-from codecbench.core.engine.planning.yaml_bounds import require_bounded
-from codecbench.core.engine.planning.yaml_file import Problems, load
+from codecbench.core.engine.planning.yaml_file import Problems, load_yaml, require_bounded
 
 HEAD = "version: 1\nname: x\nsequences: [{use: synthetic, params: {frames: 4}}]\nevaluators: [quality]\n"
 ALIASES = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 10))
@@ -106,7 +105,7 @@ def test_too_much_is_refused_with_its_place(planned: dict[str, Done], name: str)
 def test_aliases_merges_and_anchors_of_a_sane_matrix_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
     path.write_text("a: &a {x: 1, y: [2, 3]}\nb: *a\nc: {<<: *a, z: 4}\nd: &n 7\ne: [*n, *n]\n")
-    _, root = load(path)
+    _, root = load_yaml(path)
     assert root["b"]["y"] == [2, 3]
     assert dict(root["c"]) == {"z": 4, "x": 1, "y": [2, 3]}
     assert root["e"] == [7, 7]
@@ -124,7 +123,7 @@ def test_products_up_to_the_limit_are_spanned(lengths: tuple[int, int], count: i
     problems = Problems("m.yaml")
     params = {f"p{place}": {"range": [1, length]} for place, length in enumerate(lengths)}
     assert sum(1 for _ in points(axes(params, ("codecs", 0), problems))) == count
-    assert bool(problems.found) == (count == 0)
+    assert bool(problems.entries) == (count == 0)
 
 
 def test_thousands_of_problems_are_not_all_spelled_out(planned: dict[str, Done]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from distributions import install_posterize, install_source
 
 from codecbench.core.contracts.hooks import PluginSpec
-from codecbench.core.engine.plugins.fingerprint import _led_to, _outside_core, code_digest, code_of, files_since
+from codecbench.core.engine.plugins.fingerprint import _imported_files, _outside_core, code_digest, code_of, files_since
 from codecbench.core.engine.plugins.plugin import Plugin
 from codecbench.core.engine.plugins.registry import installed
 
@@ -133,7 +133,7 @@ def test_of_ours_only_what_the_plugin_consists_of_counts(tmp_path: Path) -> None
         path = tmp_path / "codecbench" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    found = _led_to("codecbench.plugins.codecs.mine", tmp_path, _outside_core)
+    found = _imported_files("codecbench.plugins.codecs.mine", tmp_path, _outside_core)
     names = {path.relative_to(tmp_path / "codecbench").as_posix() for path in found}
     assert names == files.keys() - {"plugins/codecs/other.py", "slam/kernels.json", "core/image.py"}
 

@@ -82,7 +82,8 @@ def test_an_answer_about_a_setting_that_is_nonsense_costs_that_setting(tmp_path:
     counted.offer()
     module = counted.place.site / "counted.py"
     module.write_text(
-        f"{module.read_text()}\nimport codecbench.core.engine.plugins.serving as s\ns.called = lambda *_: {{1}}\n"
+        f"{module.read_text()}\nimport codecbench.core.engine.plugins.serving as s\n"
+        "s.call_function = lambda *_: {1}\n"
     )
     matrix = {
         "version": 1,

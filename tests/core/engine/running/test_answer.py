@@ -7,7 +7,7 @@ import pytest
 from codecbench.core.contracts.executor import Finished
 from codecbench.core.engine.planning.model import Cell, CodingJob, PluginSetting, SequenceEntry
 from codecbench.core.engine.running.schedule import Work
-from codecbench.core.engine.running.tasks import outcome_of
+from codecbench.core.engine.running.work import outcome_of
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage
 from codecbench.core.engine.storage.record import Record
 

@@ -19,7 +19,7 @@ from distributions import install_source
 from installed_command import Done, Place
 
 from codecbench.core.analysis.collect import open_run
-from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, paths_named
+from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, paths_in
 from codecbench.core.engine.hosting.host import Host, PluginFault
 
 MATRIX = """
@@ -440,10 +440,10 @@ def test_paths_that_a_question_names(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("SOMEWHERE", str(tmp_path))
     named = {str(tmp_path / "pictures")}
     values = {"path": "pictures", "more": [{"of": "${SOMEWHERE}/pictures"}], "rate": 3, "other": "absent", "no": ""}
-    assert paths_named(["dataset", "mine", values, str(tmp_path)]) == named
-    assert paths_named(["mine", {"path": str(tmp_path / "pictures")}]) == named
-    assert paths_named(["mine", str(tmp_path)]) == {str(tmp_path)}
-    assert paths_named(["mine", {"path": "tests"}]) == set()
+    assert paths_in(["dataset", "mine", values, str(tmp_path)]) == named
+    assert paths_in(["mine", {"path": str(tmp_path / "pictures")}]) == named
+    assert paths_in(["mine", str(tmp_path)]) == {str(tmp_path)}
+    assert paths_in(["mine", {"path": "tests"}]) == set()
 
 
 @confines

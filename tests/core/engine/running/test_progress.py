@@ -8,7 +8,7 @@ import pytest
 
 from codecbench.core.engine.planning.estimate import START_S, TYPICAL_CELL_S
 from codecbench.core.engine.planning.model import Cell, CodingJob, PluginSetting, SequenceEntry
-from codecbench.core.engine.running.progress import Pace, Progress, measured_words
+from codecbench.core.engine.running.progress import Pace, Progress, headline_words
 from codecbench.core.engine.storage.record import Record
 
 COSTS_S = {"raw": 0.5, "slow": 20.0}
@@ -31,8 +31,8 @@ def test_what_a_cell_measured_is_its_headlines_in_the_units_that_people_are_show
     }
     summaries = {("error_m", "", "mean"): 0.01234, ("share", "", "mean"): 0.9, ("infinite", "", "mean"): float("inf")}
     of, record = cell(5, "raw", "tracking"), Record("id", "ok", summaries={**summaries, ("detail", "", "mean"): 1.0})
-    assert measured_words(of, record, declared) == "raw: error 1.23 cm, tracked 0.9"
-    assert measured_words(of, record, {}) == ""
+    assert headline_words(of, record, declared) == "raw: error 1.23 cm, tracked 0.9"
+    assert headline_words(of, record, {}) == ""
 
 
 def sequence(frames: int) -> SequenceEntry:
@@ -53,14 +53,14 @@ def test_nothing_is_said_before_anything_has_ended() -> None:
 def test_frames_times_what_a_frame_of_that_kind_took() -> None:
     pace, done, left = Pace(2), cell(10, "raw", "tracking"), cell(100, "raw", "tracking")
     pace.expect([], [done, left])
-    pace.ended(done, 30.0)
+    pace.finish(done, 30.0)
     assert pace.remaining_s() == pytest.approx(100 * 3.0 / 2)
 
 
 def test_what_runs_alone_has_one_worker() -> None:
     pace, done, left = Pace(2), cell(10, "raw", "timing", exclusive=True), cell(100, "raw", "timing", exclusive=True)
     pace.expect([], [done, left])
-    pace.ended(done, 30.0)
+    pace.finish(done, 30.0)
     assert pace.remaining_s() == pytest.approx(300.0)
 
 
@@ -71,7 +71,7 @@ def test_a_slow_codec_says_nothing_of_a_fast_one() -> None:
         pace = Pace(1)
         pace.expect([], cells)
         for number, each in enumerate(order):
-            pace.ended(each, each.sequence.frames * COSTS_S[each.codec.name])
+            pace.finish(each, each.sequence.frames * COSTS_S[each.codec.name])
             truth = sum(other.sequence.frames * COSTS_S[other.codec.name] for other in order[number + 1 :])
             seen = {other.codec.name for other in order[: number + 1]}
             if seen == set(COSTS_S):
@@ -82,7 +82,7 @@ def test_an_evaluator_that_was_not_seen_costs_what_it_declares_at_the_pace_of_th
     pace = Pace(1, {"quality": 10.0, "tracking": 100.0})
     done, left = cell(10, "raw", "quality"), cell(10, "raw", "tracking")
     pace.expect([], [done, left])
-    pace.ended(done, 0.3)  # three times what it declares
+    pace.finish(done, 0.3)  # three times what it declares
     assert pace.remaining_s() == pytest.approx(10 * 0.1 * 3)
 
 
@@ -90,9 +90,9 @@ def test_an_evaluator_that_declares_nothing_is_taken_to_look_at_a_few_frames_unt
     pace = Pace(1)
     done, sample = cell(1000, "raw", "tracking"), [cell(1000, codec, "sample") for codec in COSTS_S]
     pace.expect([], [done, *sample])
-    pace.ended(done, 500.0)
+    pace.finish(done, 500.0)
     assert pace.remaining_s() == pytest.approx(2 * TYPICAL_CELL_S)
-    pace.ended(sample[0], 40.0)
+    pace.finish(sample[0], 40.0)
     assert pace.remaining_s() == pytest.approx(40.0)
 
 
@@ -101,9 +101,9 @@ def test_encoding_is_a_kind_of_its_own() -> None:
     jobs = [CodingJob(name, sequence(10), PluginSetting("codec", name, "1")) for name in COSTS_S]
     left = cell(10, "raw", "tracking")
     pace.expect(jobs, [left])
-    pace.ended(jobs[0], 1.0)
-    pace.ended(jobs[1], 100.0)
-    pace.ended(left, 7.0)
+    pace.finish(jobs[0], 1.0)
+    pace.finish(jobs[1], 100.0)
+    pace.finish(left, 7.0)
     assert pace.remaining_s() == 0.0
 
 
@@ -114,7 +114,7 @@ def test_what_a_worker_takes_to_begin_does_not_make_a_short_run_a_long_one() -> 
     pace.expect([], cells)
     truth = [0.4 + (3.0 if number % 8 < 2 else 0.0) for number in range(16)]
     for number, each in enumerate(cells):
-        pace.ended(each, truth[number], worker=number % 2)
+        pace.finish(each, truth[number], worker=number % 2)
         left = sum(truth[number + 1 :]) / 2
         assert pace.remaining_s() <= 2 * left + 1.0, number
         assert pace.remaining_s() >= left / 3 - 3.0, number
@@ -125,7 +125,7 @@ def test_a_long_first_cell_counts_but_for_the_time_that_beginning_takes() -> Non
     pace = Pace(1, {"tracking": 30.0})
     done, left = cell(1000, "raw", "tracking"), cell(1000, "other", "tracking")
     pace.expect([], [done, left])
-    pace.ended(done, 200.0, worker="a")
+    pace.finish(done, 200.0, worker="a")
     assert pace.remaining_s() == pytest.approx(200.0 - START_S)
 
 

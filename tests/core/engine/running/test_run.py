@@ -19,9 +19,8 @@ from project import SUPPORT
 import codecbench
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
-from codecbench.core.engine.running.progress import Progress
+from codecbench.core.engine.running.progress import Progress, RunSummary
 from codecbench.core.engine.running.schedule import Schedule
-from codecbench.core.engine.running.summary import RunSummary
 
 STEPS = "{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}"
 MANY = matrix(STEPS, "wandering, whole, slow, {use: slow, params: {fault: again}}, alone")
@@ -170,17 +169,17 @@ def test_the_schedule_frees_cells_when_their_bitstreams_are_there(bench: Bench) 
     assert isinstance(first, CodingJob)
     assert isinstance(second, CodingJob)
     assert schedule.take() is None
-    schedule.ended(first)
+    schedule.finish(first)
     cell = schedule.take()
     assert isinstance(cell, Cell)
     assert cell.job_id == first.id
-    assert [one.job_id for one in schedule.failed(second)] == [second.id]
+    assert [one.job_id for one in schedule.fail(second)] == [second.id]
     assert schedule.take() is None, "exclusive cells wait for the last other one"
     schedule.encode_again(cell)
     assert schedule.take() is first
-    schedule.ended(first)
+    schedule.finish(first)
     assert schedule.take() is cell
-    schedule.ended(cell)
+    schedule.finish(cell)
     rest = [schedule.take() for _ in range(4)]
     assert all(isinstance(one, Cell) and one.exclusive for one in rest)
     assert len(schedule) == 4

@@ -196,7 +196,7 @@ def test_handles_are_given_back(tmp_path: Path) -> None:
 
 
 def test_a_sync_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(atomic, "_opened", lambda folder: nullcontext(-1))
+    monkeypatch.setattr(atomic, "_folder_descriptor", lambda folder: nullcontext(-1))
     with pytest.raises(OSError, match="Bad file descriptor") as caught:
         sync_file_system(tmp_path)
     assert (caught.value.errno, caught.value.filename) == (errno.EBADF, str(tmp_path))

@@ -124,7 +124,7 @@ def test_recovery_points_are_kept_and_earlier_files_have_none() -> None:
     packets = [CodedPacket(b"a", 0, True, 1), CodedPacket(b"b", 1, False, 2, 0), CodedPacket(b"c", 2, False, 3, 29)]
     stream = io.BytesIO()
     write_stream(stream, packets, JOB)
-    assert BitstreamFile(stream.getvalue(), JOB).packets == tuple(packet.sent for packet in packets)
+    assert BitstreamFile(stream.getvalue(), JOB).packets == tuple(packet.sent_packet for packet in packets)
     body = b"CBSTRM\x00\x01" + JOB.encode() + b"abc"
     entries = [
         struct.pack("<QQIII?", 40 + i, 1, zlib.crc32(packet.data), i, i + 1, i == 0) for i, packet in enumerate(packets)

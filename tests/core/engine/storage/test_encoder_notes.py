@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from codecbench.core.engine.storage.encoder_notes import EncoderNotes
+from codecbench.core.engine.storage.bitstream_file import EncoderNotes
 
 
 def test_a_note_is_read_by_whoever_opens_the_folder_next(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from importlib.metadata import version
 
 import numpy as np
 import pytest
+from project import ROOT
 
 from codecbench.core.engine.storage import environment
 from codecbench.core.engine.storage.environment import describe_environment, environment_id
@@ -83,3 +84,10 @@ def test_a_machine_that_tells_nothing_is_described_all_the_same(monkeypatch: pyt
     assert described["machine"]["memory_mb"] is None
     assert environment_id(described) == environment_id(describe_environment())
     assert environment_id({**described, "checkout": {"commit": "abc", "changed": False}}) != environment_id(described)
+
+
+def test_a_checkout_has_its_commit() -> None:
+    command = ["git", "-C", str(ROOT), "rev-parse", "HEAD"]
+    process = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    checkout = environment.describe_environment()["checkout"]
+    assert (checkout and checkout["commit"]) == (process.stdout.strip() if (ROOT / ".git").exists() else None)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from codecbench.core.engine.storage.environment import environment_id
-from codecbench.core.engine.storage.environment_files import EnvironmentFiles
+from codecbench.core.engine.storage.environment import EnvironmentFiles, environment_id
 
 DESCRIPTION = {"machine": {"cpu": "an abacus"}, "packages": {"numpy": "2"}}
 NAME = environment_id(DESCRIPTION)

@@ -27,7 +27,7 @@ from codecbench.core.engine.planning.model import CodingJob
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
 from codecbench.core.engine.storage.store import Store
-from codecbench.core.report.tables import exported
+from codecbench.core.report.tables import export_table
 
 KEPT = GOLDEN / "kept"
 RUNS = sorted(path.name for path in KEPT.glob("run-*"))
@@ -50,7 +50,7 @@ def test_a_kept_run_is_opened_and_gives_the_table_of_then(kept: Path) -> None:
     result = open_run(kept / "run")
     assert [found.status for found in result.results] == ["ok"] * 14
     assert result.environments
-    (kept / "now.csv").write_bytes(exported(result.wide, "csv"))
+    (kept / "now.csv").write_bytes(export_table(result.wide, "csv"))
     then, now = pd.read_csv(kept / "table.csv"), pd.read_csv(kept / "now.csv")
     assert {
         "codec",

@@ -28,7 +28,7 @@ def checked(*measurements: Any, frame: int | None = None) -> list[Measurement]:
     """What passes the check of an evaluator of two metrics on three frames."""
     metrics = [Metric("size", "B", "lower", ""), Metric("error", "1", "lower", "")]
     evaluator = SimpleNamespace(metrics=metrics)
-    return list(MeasurementCheck(evaluator, 3).checked(measurements, frame))  # type: ignore[arg-type]
+    return list(MeasurementCheck(evaluator, 3).check(measurements, frame))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

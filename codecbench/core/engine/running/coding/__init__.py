@@ -1,1 +1,1 @@
-"""Where frames become packets and packets become pictures: the only room that calls a codec for its result."""
+"""Encoding and decoding: the only package that calls a codec for its results."""

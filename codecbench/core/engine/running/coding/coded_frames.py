@@ -1,34 +1,37 @@
-"""A coded sequence as evaluators see it: frames beside what became of them, read and decoded as they are asked for."""
+"""A coded sequence as evaluators see it: frames beside their decoded versions, read and decoded on demand."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 from codecbench.core.contracts.codec import AnyCodec, sends_no_features, sends_no_picture
-from codecbench.core.contracts.evaluator import CodedFrame, FrameSender, SentPacket
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, FrameSender, SentPacket
 from codecbench.core.contracts.features import Features
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import FrameSequence
+from codecbench.core.contracts.sequence import Frame, FrameSequence
 from codecbench.core.engine.hosting.remote import RemoteCodec
 from codecbench.core.engine.running.coding.decoding import (
+    CheckedDecoder,
     SharedPictures,
     ShuffledPictures,
     StreamPictures,
-    checked_decoding,
+    check_decoding,
 )
+from codecbench.core.engine.running.coding.encoding import CheckedEncoder
 from codecbench.core.engine.running.coding.feature_decoding import StreamFeatures
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
-from codecbench.core.engine.running.coding.sending import LiveSender, StoredSender
-from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile
+from codecbench.core.engine.storage.bitstream_file import BitstreamDamage, BitstreamFile, CodedPacket
 
 
 class CodedFrames:
-    """A CodedSequence over a file of bitstreams; frames are read and decoded when they are asked for.
+    """A CodedSequence over a bitstream file; frames are read and decoded on demand.
 
-    `codec` must be an instance that has encoded nothing, so that whatever it knows came from the bitstream. shared:
-    pictures of this very stream that were decoded before, if it is one. Raises
-    CodingError for a file of another number of frames, and BitstreamDamage for one of another kind of codec.
+    `codec` must be an instance that has encoded nothing, so that all its knowledge comes from the bitstream. shared:
+    pictures of this stream that were decoded before. Raises CodingError for a file with another number of frames, and
+    BitstreamDamage for one of another kind of codec.
     """
 
     def __init__(
@@ -70,12 +73,12 @@ class CodedFrames:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be known of the setting beside all numbers: that its encoder holds frames back."""
-        held = max(packet.after - packet.frame - 1 for packet in self.packets)
-        if not held:
+        """Remarks on the setting: whether its encoder holds frames back."""
+        delay_frames = max(packet.after - packet.frame - 1 for packet in self.packets)
+        if not delay_frames:
             return ()
-        delay_ms = 1e3 * held / self.sequence.frame_rate_hz
-        return (f"holds back {held} frame{'s' if held > 1 else ''} ({delay_ms:.0f} ms)",)
+        delay_ms = 1e3 * delay_frames / self.sequence.frame_rate_hz
+        return (f"holds back {delay_frames} frame{'s' if delay_frames > 1 else ''} ({delay_ms:.0f} ms)",)
 
     def __len__(self) -> int:
         return len(self._bitstreams)
@@ -84,40 +87,40 @@ class CodedFrames:
         return (self.frame(index) for index in range(len(self)))
 
     def frame(self, index: int) -> CodedFrame:
-        """Frame `index` beside its bitstream and what the codec makes of it.
+        """Return frame `index` with its bitstream and its decoded version.
 
-        Raises BitstreamDamage for a damaged bitstream, CodingError for a result that is not an image of
-        the frame's shape, Unsupported for a codec of features, and whatever the codec raises.
+        Raises BitstreamDamage for a damaged bitstream, CodingError for a result that is not an image of the frame's
+        shape, Unsupported for a codec of features, and whatever the codec raises.
         """
         self._require(index)
         if self._features is not None:
             raise sends_no_picture(self.codec)
-        outer = self._position.stage
+        outer_stage = self._position.stage
         self._position.at("read", index)
         original = self.sequence.read(index)
         bitstream = self._bitstreams.read(index)
         self._position.at("decode", index)
-        decoded = self._decoded(index, bitstream, original.image)
-        self._position.at(outer, index)
+        decoded = self._decode(index, bitstream, original.image)
+        self._position.at(outer_stage, index)
         return CodedFrame(original, bitstream, decoded)
 
     def features(self, index: int) -> Features:
-        """What a codec of features has of frame `index` when it was decoded.
+        """Return the decoded features of frame `index`.
 
-        Raises as `frame` does, CodingError for a set that is missing, and Unsupported for a codec of pictures.
+        Raises as `frame` does, CodingError for a missing set, and Unsupported for a codec of pictures.
         """
         self._require(index)
         if self._features is None:
             raise sends_no_features(self.codec)
-        outer = self._position.stage
-        found = self._features.features(index)
-        self._position.at(outer, index)
-        return found
+        outer_stage = self._position.stage
+        features = self._features.features(index)
+        self._position.at(outer_stage, index)
+        return features
 
     def check(self, alone: Callable[[], AnyCodec[Any]]) -> None:
-        """Raise CodingError where pictures that are coded on their own are others when they are decoded on their own.
+        """Raise CodingError if frames of an intra-only codec decode differently on their own.
 
-        alone: gives the codec in a process that has decoded nothing; for codecs of other distributions.
+        alone: returns the codec in a process that has decoded nothing; for codecs of other distributions.
         """
         if self._shuffled is not None:
             self._shuffled.check(alone)
@@ -136,9 +139,72 @@ class CodedFrames:
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} is not one of 0..{len(self) - 1}")
 
-    def _decoded(self, index: int, bitstream: bytes, original: Image) -> Image:
+    def _decode(self, index: int, bitstream: bytes, original: Image) -> Image:
         if self._stream is not None:
             return self._stream.picture(index, original)
         if self._shuffled is not None:
             return self._shuffled.picture(index, original)
-        return checked_decoding(self.codec.decode(bitstream), original)
+        return check_decoding(self.codec.decode(bitstream), original)
+
+
+class StoredSender:
+    """Sends frames of an intra-only codec: each is the same as in the whole sequence, in any order."""
+
+    def __init__(self, coded: CodedSequence) -> None:
+        self._coded = coded
+
+    def send(self, index: int) -> CodedFrame:
+        return self._coded.frame(index)
+
+
+class LiveSender:
+    """Sends frames through sessions of its own, so that the chosen frames alone make the stream.
+
+    Its frame rate is the sequence's, whatever the distance of the chosen frames.
+    """
+
+    def __init__(self, codec: AnyCodec[Any], sequence: FrameSequence, position: WorkPosition) -> None:
+        self._codec, self._sequence, self._position = codec, sequence, position
+        self._encoder = CheckedEncoder(codec, sequence.frame_rate_hz)
+        self._decoder = CheckedDecoder(codec, range(len(sequence)))
+        self._places: dict[int, int] = {}
+        self._packets: list[CodedPacket] = []
+
+    def send(self, index: int) -> CodedFrame:
+        """Send a frame and return it decoded. A frame that was sent before is decoded again, not sent twice.
+
+        Raises Unsupported if the encoder or decoder holds it back, or if a later frame was sent before.
+        """
+        outer_stage = self._position.stage
+        self._position.at("read", index)
+        original = self._sequence.read(index)
+        decoded = self._decode_again(index, original.image) if index in self._places else self._send_new(original)
+        self._position.at(outer_stage, index)
+        return CodedFrame(original, self._packets[self._places[index]].data, decoded)
+
+    def _send_new(self, original: Frame) -> Image:
+        index, place = original.index, len(self._packets)
+        if self._places and index < (last_frame := next(reversed(self._places))):
+            raise Unsupported(f"frame {index} is to be sent after frame {last_frame}, and a stream does not go back")
+        self._position.at("encode", index)
+        packets = self._encoder.push(original.image)
+        if not packets:
+            raise Unsupported(
+                f"{self._codec.name} holds frames back with this setting; a chosen frame must be sent at once"
+            )
+        self._places[index] = place
+        self._packets += packets
+        self._position.at("decode", index)
+        (packet,) = packets
+        pictures = self._decoder.push(replace(packet.sent_packet, frame=place).packet(packet.data), original.image)
+        if place not in pictures:
+            raise Unsupported(
+                f"the decoder of {self._codec.name} holds frames back; a chosen frame must be seen at once"
+            )
+        return pictures[place]
+
+    def _decode_again(self, index: int, original: Image) -> Image:
+        """Decode the picture of a frame that was sent before from what was sent."""
+        sent_packets = [packet.sent_packet for packet in self._packets]
+        pictures = StreamPictures(self._codec, sent_packets, lambda frame: self._packets[frame].data, self._position)
+        return pictures.picture(self._places[index], original)

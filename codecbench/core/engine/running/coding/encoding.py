@@ -1,4 +1,4 @@
-"""Encoding a sequence: frames are pushed into a session in order, and what comes out is checked."""
+"""Encode a sequence: push frames into a session in order, and check what comes out."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.stream import Packet, is_recovery
 from codecbench.core.engine.hosting.remote import RemoteCodec
-from codecbench.core.engine.running.coding.decoding import together, until_one_fails
+from codecbench.core.engine.running.coding.decoding import batch_size, map_until_failure
 from codecbench.core.engine.running.coding.position import WRITE, CodingError, WorkPosition
 from codecbench.core.engine.storage.bitstream_file import CodedPacket
 
 
 def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: WorkPosition) -> Iterator[CodedPacket]:
-    """The packets of all frames in the order in which they are sent; the position is `write` while one is taken.
+    """Yield the packets of all frames in sending order; the position is `write` while the caller handles one.
 
-    Raises CodingError for what is not a packet, and where a frame has none or two.
+    Raises CodingError for something that is not a packet, and if a frame has none or two.
     """
     position.at("encode")
     encoder = CheckedEncoder(codec, sequence.frame_rate_hz)
@@ -26,12 +26,14 @@ def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: Wor
     images: dict[int, Image] = {}
     for index in range(len(sequence)):
         if index not in images:
-            images, ahead = _read(sequence, index, position, alone=not is_hosted), {}
+            images, encoded_ahead = _read(sequence, index, position, alone=not is_hosted), {}
             if is_hosted:
                 position.at("encode", index if len(images) == 1 else None)
-                ahead = dict(enumerate(codec.at_encoder(until_one_fails, "encode", [*images.values()]), index))
+                encoded_ahead = dict(
+                    enumerate(codec.at_encoder(map_until_failure, "encode", [*images.values()]), index)
+                )
         position.at("encode", index)
-        packets = encoder.push(images[index], ahead.get(index))
+        packets = encoder.push(images[index], encoded_ahead.get(index))
         position.at(WRITE, index)
         yield from packets
     position.at("encode")
@@ -41,18 +43,18 @@ def encode_sequence(codec: AnyCodec[Any], sequence: FrameSequence, position: Wor
 
 
 def _read(sequence: FrameSequence, begin: int, position: WorkPosition, *, alone: bool) -> dict[int, Image]:
-    """A frame by its index, and, unless it is to be alone, those after it that go to a host with it."""
+    """Read a frame and, unless `alone`, those that go to a host together with it; return images by index."""
     images: dict[int, Image] = {}
     for index in range(begin, len(sequence)):
         position.at("read", index)
         images[index] = sequence.read(index).image
-        if alone or len(images) == together(images[begin].nbytes):
+        if alone or len(images) == batch_size(images[begin].nbytes):
             break
     return images
 
 
 class CheckedEncoder:
-    """A session of a codec that gives each frame exactly one packet, or raises CodingError."""
+    """A session of a codec that returns exactly one packet per frame, or raises CodingError."""
 
     def __init__(self, codec: AnyCodec[Any], frame_rate_hz: float) -> None:
         self._encoder = encoder_of(codec, frame_rate_hz)
@@ -61,24 +63,24 @@ class CheckedEncoder:
         self._sent: set[int] = set()
 
     def push(self, image: Image, bitstream: Any = None) -> list[CodedPacket]:
-        """The packets after this image. bitstream: of a codec without memory, where it was encoded before."""
+        """Return the packets after this image. bitstream: of an intra-only codec, if already encoded."""
         packets = self._encoder.push(image) if bitstream is None else [Packet(bitstream, self._pushed, starts=True)]
         self._pushed += 1
-        return self._checked(packets, "push")
+        return self._check_packets(packets, "push")
 
     def flush(self) -> list[CodedPacket]:
-        found = self._checked(self._encoder.flush(), "flush")
-        if left := sorted(set(range(self._pushed)) - self._sent):
-            shown = ", ".join(map(str, left[:5])) + (", ..." if len(left) > 5 else "")
-            raise CodingError(f"{len(left)} of {self._pushed} frames have no packet after flush: {shown}")
-        return found
+        packets = self._check_packets(self._encoder.flush(), "flush")
+        if missing := sorted(set(range(self._pushed)) - self._sent):
+            shown = ", ".join(map(str, missing[:5])) + (", ..." if len(missing) > 5 else "")
+            raise CodingError(f"{len(missing)} of {self._pushed} frames have no packet after flush: {shown}")
+        return packets
 
-    def _checked(self, packets: object, call: str) -> list[CodedPacket]:
+    def _check_packets(self, packets: object, call: str) -> list[CodedPacket]:
         if not isinstance(packets, list):
             raise CodingError(f"{call} returned {type(packets).__name__}; it returns a list of Packets")
-        return [self._checked_packet(packet, call) for packet in packets]
+        return [self._check_packet(packet, call) for packet in packets]
 
-    def _checked_packet(self, packet: object, call: str) -> CodedPacket:
+    def _check_packet(self, packet: object, call: str) -> CodedPacket:
         if not isinstance(packet, Packet):
             raise CodingError(f"{call} returned a list with {type(packet).__name__}; it holds Packets")
         frame, starts = packet.frame, packet.starts
@@ -101,7 +103,7 @@ class CheckedEncoder:
         returned = f"the packet of frame {packet.frame} holds" if self._gives_packets else "encode returned"
         if not isinstance(packet.data, bytes):
             raise CodingError(f"{returned} {type(packet.data).__name__}; a bitstream is bytes")
-        content = memoryview(packet.data).tobytes()  # whatever a subclass of bytes says of itself
-        if not content:
+        data = memoryview(packet.data).tobytes()  # a subclass of bytes may override everything else
+        if not data:
             raise CodingError(f"{returned} no bytes")
-        return content
+        return data

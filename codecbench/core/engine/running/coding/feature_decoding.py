@@ -1,4 +1,4 @@
-"""Decoding features: each packet gives the set of its frame, and sets are found again by frame."""
+"""Decode features: each packet gives the feature set of its frame, and sets are accessed by frame."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from codecbench.core.engine.running.coding.position import CodingError, WorkPosi
 
 
 class StreamFeatures:
-    """The sets of a stream by frame, in any order; who asks in order has each packet decoded once.
+    """The feature sets of a stream by frame, in any order; in-order access decodes each packet once.
 
-    packets: of frames 0 to N - 1, in that order, as encoders of features give them. read: the bytes of a frame's.
+    packets: of frames 0 to N - 1, in that order, as encoders of features return them. read: returns the bytes of a
+    frame's packet.
     """
 
     def __init__(
@@ -32,29 +33,29 @@ class StreamFeatures:
         self._next = 0
 
     def features(self, frame: int) -> Features:
-        """The features of a frame. Raises CodingError where the decoder gives anything else."""
+        """Return the features of a frame. Raises CodingError if the decoder returns anything else."""
         start = self._starts[bisect_right(self._starts, frame) - 1]
-        decoder, self._decoder = self._decoder, None  # one that raises is not used again
+        decoder, self._decoder = self._decoder, None  # not reused if it raises
         if decoder is None or not start <= self._next <= frame:
             decoder, self._next = self._codec.open_decoder(), start
         while True:
             sent = self._packets[self._next]
             self._position.at("decode", sent.frame)
-            (found,) = decoder.push(Packet(self._read(sent.frame), sent.frame, sent.starts))
-            features = _checked(found, sent.frame)
+            (feature_set,) = decoder.push(Packet(self._read(sent.frame), sent.frame, sent.starts))
+            features = _check_features(feature_set, sent.frame)
             self._next += 1
             if sent.frame == frame:
                 self._decoder = decoder
                 return features
 
 
-def _checked(found: object, frame: int) -> Features:
-    if not isinstance(found, FeatureSet):
-        raise CodingError(f"the decoder returned {type(found).__name__}; it returns a FeatureSet")
-    if found.frame != frame:
-        raise CodingError(f"the decoder returned frame {found.frame} for the packet of frame {frame}")
-    if found.features is None:
+def _check_features(feature_set: object, frame: int) -> Features:
+    if not isinstance(feature_set, FeatureSet):
+        raise CodingError(f"the decoder returned {type(feature_set).__name__}; it returns a FeatureSet")
+    if feature_set.frame != frame:
+        raise CodingError(f"the decoder returned frame {feature_set.frame} for the packet of frame {frame}")
+    if feature_set.features is None:
         raise CodingError(f"the decoder says that frame {frame} is missing, though nothing was lost")
-    if not isinstance(found.features, Features):
-        raise CodingError(f"the decoder returned {type(found.features).__name__}; a set has Features")
-    return found.features
+    if not isinstance(feature_set.features, Features):
+        raise CodingError(f"the decoder returned {type(feature_set.features).__name__}; a set has Features")
+    return feature_set.features

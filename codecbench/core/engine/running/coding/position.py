@@ -1,4 +1,4 @@
-"""How far the work on a sequence has got, and the error of a codec that does not do what its contract says."""
+"""The progress of work on a sequence, and the error of a codec that violates its contract."""
 
 from __future__ import annotations
 
@@ -9,26 +9,24 @@ from typing import Final
 from codecbench.core.contracts.errors import CodecbenchError
 
 WRITE: Final = "write"
-"""The stage at which the engine writes the file of bitstreams, and no code of a plugin runs."""
+"""Stage in which the engine writes the bitstream file and no plugin's code runs."""
 
 
 class CodingError(CodecbenchError):
-    """A codec returned something that is not a bitstream, not the stream's packet, or not the picture's shape."""
+    """Raised if a codec returns something that is no bitstream, no packet of the stream, or has a wrong shape."""
 
 
 @dataclass
 class WorkPosition:
-    """Where in a sequence the work has got to, for the reason of a failure: `encode, frame 17`.
-
-    titles: of the plugins of other distributions, by the stage at which their code runs.
-    """
+    """How far work on a sequence has got, for the reason of a failure: `encode, frame 17`."""
 
     stage: str = ""
     frame: int | None = None
     titles: Mapping[str, str] = field(default_factory=dict)
+    """Plugins of other distributions by the stage at which their code runs."""
 
     def at(self, stage: str, frame: int | None = None) -> None:
-        self.stage, self.frame = str(stage), frame  # a host may have said so
+        self.stage, self.frame = str(stage), frame  # a host may send any type
 
     def __str__(self) -> str:
         place = self.stage if self.frame is None else f"{self.stage}, frame {self.frame}"

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.engine.running.coding.coded_frames import CodedFrames
-from codecbench.core.engine.running.coding.decoding import ShuffledPictures, checked_decoding
+from codecbench.core.engine.running.coding.decoding import ShuffledPictures, check_decoding
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import CodingError, WorkPosition
 from codecbench.core.engine.running.frame_cache import MOST_BYTES, CachedSequence, FrameCache, cache_limit_bytes
@@ -99,7 +99,7 @@ def test_a_file_of_another_length_is_refused() -> None:
 )
 def test_what_is_not_the_frame_is_refused(decoded: object, words: str) -> None:
     with pytest.raises(CodingError, match=words):
-        checked_decoding(decoded, np.zeros((4, 5), np.uint8))
+        check_decoding(decoded, np.zeros((4, 5), np.uint8))
 
 
 class Counted(plain_plugins.RampSequence):

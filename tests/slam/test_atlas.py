@@ -14,10 +14,8 @@ from rendered_scenes import CAMERA, features_at, position_error
 
 from codecbench.core.contracts.image import gray_from_image
 from codecbench.plugins.datasets.synthetic.dataset import SyntheticParams, SyntheticSequence
-from codecbench.slam import Camera, MergedMaps, Options, Result, System, thresholds
-from codecbench.slam.atlas import atlas
-from codecbench.slam.atlas.atlas import Atlas
-from codecbench.slam.atlas.tracked_map import TrackedMap
+from codecbench.slam import Camera, MergedMaps, Options, Result, System, atlas, thresholds
+from codecbench.slam.atlas import Atlas, TrackedMap
 from codecbench.slam.map.frame import TrackingFrame
 
 pytestmark = pytest.mark.thorough
@@ -105,13 +103,13 @@ def test_a_map_of_few_keyframes_is_left_alone(walk: Walk, monkeypatch: pytest.Mo
 
 def test_a_map_that_became_part_of_another_is_freed(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
     gone = []
-    take_in = TrackedMap.take_in
+    absorb = TrackedMap.absorb
 
     def watched(self: TrackedMap, other: TrackedMap, seen: object) -> None:
         gone.extend([weakref.ref(other), weakref.ref(other.map)])
-        take_in(self, other, seen)  # type: ignore[arg-type]
+        absorb(self, other, seen)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(TrackedMap, "take_in", watched)
+    monkeypatch.setattr(TrackedMap, "absorb", watched)
     system = System(walk.camera)
     for i, image in enumerate(walk.images):
         system.process(np.zeros_like(image) if i in BLACK else image, float(walk.sequence.timestamps_s[i]))
@@ -152,7 +150,7 @@ def test_a_lost_camera_is_looked_for_in_all_maps_within_bounds(
 ) -> None:
     tried: list[tuple[int, int]] = []
     maps = many_maps(monkeypatch, tried)
-    assert maps.find(frame) == 0
+    assert maps.relocalize(frame) == 0
     assert len(tried) == thresholds.RELOCALIZATION_CANDIDATES
     assert [number for number, _ in tried[:5]] == [1, 0, 2, 3, 4]  # the active map first
     assert maps.active is maps.maps[1]
@@ -163,14 +161,14 @@ def test_where_the_camera_is_found_it_goes_on(monkeypatch: pytest.MonkeyPatch, f
     maps = many_maps(monkeypatch, tried, inliers=70)
     monkeypatch.setattr(thresholds, "RELOCALIZATION_CANDIDATES", 20)
     maps.active = maps.maps[3]
-    assert maps.find(frame) == 70
+    assert maps.relocalize(frame) == 70
     assert tried[-1] == (3, 2)
     maps.active = None
-    assert maps.find(frame) == 70
+    assert maps.relocalize(frame) == 70
     assert maps.active is maps.maps[0]
 
 
 def test_what_was_in_a_map_is_in_what_that_map_became() -> None:
     maps = Atlas(CAMERA, np.random.default_rng(0))
-    maps.merged = [MergedMaps(90, 3, 50, 2, 4), MergedMaps(120, 8, 50, 0, 2), MergedMaps(150, 9, 50, 1, 3)]
-    assert [maps.final_index(index) for index in range(5)] == [0, 1, 0, 1, 0]
+    maps.merges = [MergedMaps(90, 3, 50, 2, 4), MergedMaps(120, 8, 50, 0, 2), MergedMaps(150, 9, 50, 1, 3)]
+    assert [maps.surviving_index(index) for index in range(5)] == [0, 1, 0, 1, 0]

@@ -10,8 +10,8 @@ from solver_scenes import INTRINSICS, Scene, corridor, disturbed, project
 
 from codecbench.slam.geometry.rotations import so3_exp
 from codecbench.slam.geometry.transforms import se3_exp, umeyama
-from codecbench.slam.optimisation.bundle_adjustment import HUBER_95, adjust
-from codecbench.slam.optimisation.bundle_kernels import jacobians
+from codecbench.slam.optimization.bundle_adjustment import HUBER_95, adjust
+from codecbench.slam.optimization.bundle_kernels import jacobians
 
 pytestmark = pytest.mark.thorough
 

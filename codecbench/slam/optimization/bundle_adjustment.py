@@ -1,4 +1,4 @@
-"""Bundle adjustment: keyframe poses and map points that together minimise the robust reprojection error."""
+"""Bundle adjustment: keyframe poses and map points that minimize the robust reprojection error."""
 
 from __future__ import annotations
 
@@ -9,39 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from codecbench.slam.features.sorting import stable_order
-from codecbench.slam.geometry.linear_systems import Indices, envelope_offsets, envelope_order, first_neighbours
+from codecbench.slam.geometry.linear_systems import Indices, envelope_offsets, envelope_order, first_neighbors
 from codecbench.slam.geometry.rotations import Array, orthonormalize
-from codecbench.slam.optimisation.bundle_kernels import (
+from codecbench.slam.optimization.bundle_kernels import (
     Observations,
     camera_adjacency,
     classify,
     minimize,
     robust_cost,
 )
-from codecbench.slam.optimisation.bundle_schur import Layout
+from codecbench.slam.optimization.bundle_schur import Layout
 from codecbench.slam.thresholds import CHI2_95_2DOF
 
 HUBER_95 = float(np.sqrt(CHI2_95_2DOF))
 """Error in units of its sigma above which Huber's kernel grows linearly (ORB-SLAM, appendix)."""
 
-_ALWAYS_DENSE = 24  # keyframes: up to so many, looking for who shares points with whom costs more than it saves
+_ALWAYS_DENSE = 24  # keyframes: up to so many, finding the envelope costs more than it saves
 
 
 @dataclass(frozen=True)
 class Adjustment:
-    """What a bundle adjustment found.
-
-    `camera_from_world` (K, 4, 4), `points_world` (P, 3); `inliers` (M,): observations in front of their
-    camera with a chi-square of at most 5.991; `cost_before`, `cost_after`: half the sum of the robust
-    chi-squares of all observations; `iterations`: steps tried in all rounds together.
-    """
+    """Result of a bundle adjustment."""
 
     camera_from_world: Array
+    """Poses (K, 4, 4)."""
     points_world: Array
+    """Points (P, 3)."""
     inliers: NDArray[np.bool_]
+    """Observations (M,) in front of their camera with a chi-square of at most 5.991."""
     cost_before: float
+    """Half the sum of the robust chi-squares of all observations."""
     cost_after: float
+    """The same after the adjustment."""
     iterations: int
+    """Steps tried in all rounds together."""
 
 
 def adjust(
@@ -58,19 +59,20 @@ def adjust(
     huber: float | None = HUBER_95,
     tolerance: float = 1e-4,
 ) -> Adjustment:
-    """Return poses and points that minimise the reprojection error of all observations.
+    """Return poses and points that minimize the reprojection error of all observations.
 
-    `camera_from_world` (K, 4, 4); `points_world` (P, 3); observation m is `pixels[m]` (M, 2), undistorted, of
-    point `point_indices[m]` in camera `camera_indices[m]`, with `inverse_sigma2` (M,) in 1/px^2; `intrinsics`
-    (4,): fx, fy, cx, cy; `fixed` (K,) marks cameras that stay. `iterations` gives the steps allowed in each
-    round; after a round the outliers (behind the camera or chi-square above 5.991) leave, and after a later
-    one may come back. `huber` is in units of sigma, None for plain least squares. A round ends when a step
-    lowers the cost by less than `tolerance` of it. Without a fixed camera, or with one, the free gauge stays
-    near where it was. A point with fewer than two observations in use is left where it is and has no say.
-    Raises ValueError for arrays that do not fit together, indices out of range and values that are not
-    finite. Sources: Triggs et al., "Bundle adjustment: a modern synthesis", 2000 (Schur complement);
-    Levenberg-Marquardt with multiplicative damping; rounds as in ORB-SLAM, T-RO 31(5), 2015, where outliers
-    never come back.
+    `camera_from_world` (K, 4, 4); `points_world` (P, 3). Observation m is `pixels[m]` (M, 2), undistorted, of point
+    `point_indices[m]` in camera `camera_indices[m]`, with `inverse_sigma2` (M,) in 1/px^2. `intrinsics` (4,): fx, fy,
+    cx, cy; `fixed` (K,) marks cameras that stay.
+
+    `iterations` gives the steps allowed in each round. After a round the outliers (behind the camera or chi-square
+    above 5.991) leave, and after a later one they may come back. `huber` is in units of sigma, None for plain least
+    squares. A round ends when a step lowers the cost by less than `tolerance` of it. With no or one fixed camera, the
+    free gauge stays near where it was. A point with fewer than two observations in use stays and has no influence.
+
+    Raises ValueError for arrays that do not fit together, indices out of range and values that are not finite. Sources:
+    Triggs et al., "Bundle adjustment: a modern synthesis", 2000 (Schur complement); Levenberg-Marquardt with
+    multiplicative damping; rounds as in ORB-SLAM, T-RO 31(5), 2015, where outliers never come back.
     """
     problem = _Problem(
         camera_from_world, points_world, camera_indices, point_indices, pixels, inverse_sigma2, intrinsics, fixed
@@ -79,7 +81,7 @@ def adjust(
     if not kernel > 0.0:
         raise ValueError(f"adjust: huber is {huber}; it must be above 0, or None")
     cost_before = problem.cost(kernel)
-    active, steps = problem.everything, 0
+    active, steps = problem.all_active, 0
     for limit in iterations:
         steps += problem.minimize(active, kernel, int(limit), tolerance)
         active = problem.inliers()
@@ -93,7 +95,7 @@ def adjust(
 
 
 class _Problem:
-    """The arrays of one adjustment, observations sorted by point and then by camera position in the system."""
+    """The arrays of one adjustment; observations are sorted by point, then by camera position in the system."""
 
     def __init__(
         self,
@@ -116,30 +118,30 @@ class _Problem:
         order = stable_order(self.layout.slots[cameras] + 1, len(self.layout.first) + 1)
         self.order = order[stable_order(points[order], len(self.points))]
         starts = np.concatenate([[0], np.cumsum(np.bincount(points, minlength=len(self.points)))]).astype(np.int64)
-        self.everything = np.ones(len(cameras), dtype=np.bool_)
-        self.seen = Observations(
+        self.all_active = np.ones(len(cameras), dtype=np.bool_)
+        self.observations = Observations(
             cameras[self.order],
             starts,
             np.take(pixels, self.order, axis=0),
             np.sqrt(inverse_sigma2[self.order]),
-            self.everything,
+            self.all_active,
             intrinsics,
         )
 
     def cost(self, huber: float) -> float:
         """Return half the robust cost of all observations."""
-        return float(robust_cost(self.poses, self.points, self.seen, huber))
+        return float(robust_cost(self.poses, self.points, self.observations, huber))
 
     def minimize(self, active: NDArray[np.bool_], huber: float, limit: int, tolerance: float) -> int:
-        """Move poses and points by the active observations, in at most `limit` steps; return how many were tried."""
-        seen = self.seen._replace(active=active)
-        return int(minimize(self.poses, self.points, seen, self.layout, huber, limit, tolerance))
+        """Move poses and points by the active observations; returns the number of steps tried, at most `limit`."""
+        observations = self.observations._replace(active=active)
+        return int(minimize(self.poses, self.points, observations, self.layout, huber, limit, tolerance))
 
     def inliers(self) -> NDArray[np.bool_]:
         """Return which sorted observations are in front of their camera with a chi-square of at most 5.991."""
-        found = np.empty(len(self.order), dtype=np.bool_)
-        classify(self.poses, self.points, self.seen, CHI2_95_2DOF, found)
-        return found
+        inliers = np.empty(len(self.order), dtype=np.bool_)
+        classify(self.poses, self.points, self.observations, CHI2_95_2DOF, inliers)
+        return inliers
 
 
 def _layout(cameras: Indices, points: Indices, fixed: NDArray[np.bool_], point_count: int) -> Layout:
@@ -152,7 +154,7 @@ def _layout(cameras: Indices, points: Indices, fixed: NDArray[np.bool_], point_c
         adjacency = camera_adjacency(slots[cameras], points, point_count, len(free))
         order = envelope_order(adjacency)
         slots[free[order]] = np.arange(len(free))
-        first = first_neighbours(adjacency[np.ix_(order, order)])
+        first = first_neighbors(adjacency[np.ix_(order, order)])
     return Layout(slots, first, envelope_offsets(first, 6))
 
 

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from solver_scenes import INTRINSICS, moved, project
 
 from codecbench.slam.geometry.transforms import se3_exp, se3_log
-from codecbench.slam.optimisation.pose_optimization import _linearize, optimize_pose
+from codecbench.slam.optimization.pose_optimization import _linearize, optimize_pose
 
 pytestmark = pytest.mark.thorough
 

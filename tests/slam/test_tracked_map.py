@@ -6,12 +6,12 @@ from map_scenes import build_map, observe_scene
 from numpy.typing import NDArray
 from rendered_scenes import CAMERA, looking, random_descriptors
 
-from codecbench.slam.atlas import tracked_map
-from codecbench.slam.atlas.tracked_map import TrackedMap
+from codecbench.slam import atlas
+from codecbench.slam.atlas import TrackedMap
 from codecbench.slam.geometry.transforms import se3_inverse
 from codecbench.slam.map.map import Map
 from codecbench.slam.mapping.loop_detection import Loop
-from codecbench.slam.tracking.tracked_pose import moved_camera
+from codecbench.slam.tracking.tracked_pose import transform_camera
 
 
 def test_the_last_frame_follows_its_reference_when_a_loop_is_closed(
@@ -32,11 +32,11 @@ def test_the_last_frame_follows_its_reference_when_a_loop_is_closed(
         slam_map.transform(turned)
         return np.asarray(np.linalg.inv(turned))
 
-    monkeypatch.setattr(tracked_map, "close_loop", close)
+    monkeypatch.setattr(atlas, "close_loop", close)
     monkeypatch.setattr(followed._detector, "detect", lambda k: Loop(k, 0, np.eye(4), np.empty(0, np.int64), 50))
     closed = followed.close_loop(2)
     assert closed is not None
     assert (closed.frame_index, closed.matched_frame_index) == (2, 0)
-    assert np.allclose(se3_inverse(frame.camera_from_world), moved_camera(turned, before), atol=1e-12)
+    assert np.allclose(se3_inverse(frame.camera_from_world), transform_camera(turned, before), atol=1e-12)
     followed.record(frame)
     assert np.allclose(followed.finish(adjust=False).trajectory_before_loops.world_from_camera, before, atol=1e-12)

@@ -8,7 +8,7 @@ from scipy.optimize import approx_fprime, least_squares
 
 from codecbench.slam.geometry.rotations import so3_exp
 from codecbench.slam.geometry.transforms import sim3_compose, sim3_exp, sim3_inverse, sim3_log, sim3_scale
-from codecbench.slam.optimisation import pose_graph
+from codecbench.slam.optimization import pose_graph
 
 pytestmark = pytest.mark.thorough
 

@@ -1,4 +1,4 @@
-"""Pose graph in Sim(3): keyframe similarities that agree best with measured relative ones, scale drift included."""
+"""The pose graph in Sim(3): keyframe similarities that best fit relative measurements, with scale drift."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from codecbench.slam.geometry.linear_systems import (
     envelope_offsets,
     envelope_order,
     factorize_envelope,
-    first_neighbours,
+    first_neighbors,
     solve_envelope,
 )
 from codecbench.slam.geometry.rotations import Array, skew
@@ -32,12 +32,16 @@ _BERNOULLI = np.array([(-1) ** (k + 1) * 2.0 * zeta(2 * k) / (2.0 * math.pi) ** 
 
 @dataclass(frozen=True)
 class PoseGraphSolution:
-    """Optimised `similarities` (N, 4, 4), half the weighted squared error before and after, and steps tried."""
+    """Result of a pose graph optimization."""
 
     similarities: Array
+    """Optimized (N, 4, 4)."""
     cost_before: float
+    """Half the weighted squared error."""
     cost_after: float
+    """The same after the optimization."""
     iterations: int
+    """Steps tried."""
 
 
 def optimize(
@@ -54,7 +58,7 @@ def optimize(
 
     `similarities` (N, 4, 4): camera_from_world of each node; `edges` (E, 2): nodes i, j; `measurements` (E, 4, 4):
     `j_from_i` of each edge; `fixed` (N,) marks nodes that stay. `weights`, (E,) or (E, 7), multiply the squared
-    error, in the order translation, rotation, log scale; 1 where left out. The error of an edge is the (7,) logarithm
+    error, in the order translation, rotation, log scale; 1 if left out. The error of an edge is the (7,) logarithm
     of j_from_i S_i S_j^-1. Ends when a step lowers the cost by less than `tolerance` of it. Without a fixed node the
     whole graph stays near where it was. Raises ValueError for arrays that do not fit together, nodes out of range,
     edges from a node to itself, values that are not finite and negative weights.
@@ -63,13 +67,15 @@ def optimize(
     nodes = np.array(similarities, dtype=np.float64)
     edges, fixed = np.ascontiguousarray(edges, dtype=np.int64), np.asarray(fixed, dtype=np.bool_)
     measurements = np.ascontiguousarray(measurements, dtype=np.float64)
-    given = np.ones(len(edges)) if weights is None else np.asarray(weights, dtype=np.float64)
-    given = np.array(np.broadcast_to(given[:, None] if given.ndim == 1 else given, (len(given), 7)))
-    _check(nodes, edges, measurements, given, fixed)
+    edge_weights = np.ones(len(edges)) if weights is None else np.asarray(weights, dtype=np.float64)
+    edge_weights = np.array(
+        np.broadcast_to(edge_weights[:, None] if edge_weights.ndim == 1 else edge_weights, (len(edge_weights), 7))
+    )
+    _check(nodes, edges, measurements, edge_weights, fixed)
     slots, first = _layout(edges, fixed)
     offsets = envelope_offsets(first, 7)
     before, after, steps = _minimize(
-        nodes, edges, measurements, given, slots, first, offsets, int(iterations), float(tolerance)
+        nodes, edges, measurements, edge_weights, slots, first, offsets, int(iterations), float(tolerance)
     )
     return PoseGraphSolution(nodes, float(before), float(after), int(steps))
 
@@ -101,7 +107,7 @@ def _check(nodes: Array, edges: Indices, measurements: Array, weights: Array, fi
 
 
 def _layout(edges: Indices, fixed: NDArray[np.bool_]) -> tuple[Indices, Indices]:
-    """Return the position of each node in the linear system, -1 where fixed, and the system's envelope."""
+    """Return the position of each node in the linear system, -1 if fixed, and the system's envelope."""
     slots = np.full(len(fixed), -1, dtype=np.int64)
     free = np.flatnonzero(~fixed)
     slots[free] = np.arange(len(free))
@@ -111,7 +117,7 @@ def _layout(edges: Indices, fixed: NDArray[np.bool_]) -> tuple[Indices, Indices]
     adjacency[ends[:, 0], ends[:, 1]] = adjacency[ends[:, 1], ends[:, 0]] = True
     order = envelope_order(adjacency)
     slots[free[order]] = np.arange(len(free))
-    return slots, first_neighbours(adjacency[np.ix_(order, order)])
+    return slots, first_neighbors(adjacency[np.ix_(order, order)])
 
 
 @compiled
@@ -175,7 +181,7 @@ def _minimize(nodes, edges, measurements, weights, slots, first, offsets, limit,
         if factorize_envelope(damped, first, offsets, 7):
             step = gradient.copy()
             solve_envelope(damped, first, offsets, 7, step)
-            trial = _moved(nodes, slots, step)
+            trial = _update_nodes(nodes, slots, step)
             trial_cost = _cost(trial, edges, measurements, weights)
         if trial_cost < cost:
             gain, cost, linear = cost - trial_cost, trial_cost, False
@@ -192,6 +198,7 @@ def _minimize(nodes, edges, measurements, weights, slots, first, offsets, limit,
 
 @compiled
 def _damp(system, first, offsets, damping):  # type: ignore[no-untyped-def]
+    """Add the damping to the diagonal of the system."""
     for i in range(first.shape[0]):
         stride = 7 * (i - first[i] + 1)
         for a in range(7):
@@ -200,7 +207,8 @@ def _damp(system, first, offsets, damping):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _moved(nodes, slots, step):  # type: ignore[no-untyped-def]
+def _update_nodes(nodes, slots, step):  # type: ignore[no-untyped-def]
+    """Return the nodes after the left updates of `step`."""
     out = nodes.copy()
     for k in range(nodes.shape[0]):
         if slots[k] >= 0:

@@ -14,26 +14,28 @@ import numpy as np
 from codecbench.core.kernels.compiled import compiled
 from codecbench.slam.features.sorting import stable_order
 from codecbench.slam.geometry.linear_systems import copy_numbers, factorize_envelope, solve_envelope
-from codecbench.slam.optimisation.bundle_schur import MIN_DAMPING, Workspace, eliminate, move_cameras, move_points
+from codecbench.slam.optimization.bundle_schur import MIN_DAMPING, Workspace, eliminate, move_cameras, move_points
 
-MAX_CHI2 = 1e8  # an error beyond it, or a point behind the camera, costs so much and pulls at nothing
+MAX_CHI2 = 1e8  # cost of a larger error, or of a point behind the camera; both have no gradient
 _START_DAMPING = 1e-4
 _MAX_DAMPING = 1e8
 
 
 class Observations(NamedTuple):
-    """What the cameras saw, sorted by point: those of point p are `starts[p]` to `starts[p + 1]`.
-
-    `cameras` (M,), `starts` (P + 1,), `pixels` (M, 2), `weights` (M,) 1 / sigma, `active` (M,) bool;
-    `intrinsics` (4,).
-    """
+    """Observations sorted by point: those of point p are `starts[p]` to `starts[p + 1]`."""
 
     cameras: Any
+    """Camera of each observation (M,)."""
     starts: Any
+    """First observation of each point (P + 1,)."""
     pixels: Any
+    """Undistorted (M, 2)."""
     weights: Any
+    """1 / sigma (M,)."""
     active: Any
+    """Which observations are in use (M,), bool."""
     intrinsics: Any
+    """fx, fy, cx, cy (4,)."""
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Camera pose from points that are held fixed: motion-only bundle adjustment with outlier rejection."""
+"""Pose of a camera from fixed points: motion-only bundle adjustment with outlier rejection."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ def optimize_pose(
     inverse_sigma2: Array,
     intrinsics: Array,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the pose that minimises the reprojection error of fixed points, and which points are inliers.
+    """Return the pose that minimizes the reprojection error of fixed points, and which points are inliers.
 
     `camera_from_world` (4, 4) starts the search; `points_world` (N, 3); `pixels` (N, 2) undistorted; `inverse_sigma2`
     (N,) in 1/px^2; `intrinsics` (4,): fx, fy, cx, cy in pixels. Returns `camera_from_world` (4, 4) and `inliers` (N,):
-    in front of the camera with a chi-square of at most 5.991. Four rounds of Levenberg-Marquardt, each over the points
-    whose error in the last one was at most POSE_GATE_MEDIANS times the median, but one deviation at least and the gate
-    of inliers at most (a point may come back), with Huber's kernel in the first two. When fewer than three points
-    remain, the pose of the last good round is returned with its inliers. Raises ValueError for arrays that do not fit
-    together. Source: ORB-SLAM, T-RO 31(5), 2015, section V; each round starts from the last one's pose, not from the
-    first, and the gate by the median is own.
+    in front of the camera with a chi-square of at most 5.991.
+
+    There are four rounds of Levenberg-Marquardt, with Huber's kernel in the first two. Each uses the points whose error
+    in the last one was at most POSE_GATE_MEDIANS times the median, but one deviation at least and the gate of inliers
+    at most; a point may come back. If fewer than three points remain, the pose of the last good round is returned with
+    its inliers. Raises ValueError for arrays that do not fit together. Source: ORB-SLAM, T-RO 31(5), 2015, section V;
+    each round starts from the last one's pose, not from the first, and the gate by the median is own.
     """
     pose = np.array(camera_from_world, dtype=np.float64)
     points_world = np.ascontiguousarray(points_world, dtype=np.float64)
@@ -58,7 +59,7 @@ def optimize_pose(
 
 @compiled
 def optimize_in_place(pose, points, pixels, weights, intrinsics, inliers):  # type: ignore[no-untyped-def]
-    """optimize_pose for compiled code: moves `pose` and marks the `inliers`; the rotation is off by rounding."""
+    """Optimize as optimize_pose does, for compiled code: moves `pose`, marks `inliers`; rotation up to rounding."""
     active = np.ones(len(points), dtype=np.bool_)
     chi2 = np.empty(len(points))
     for round_index in range(_ROUNDS):
@@ -67,7 +68,7 @@ def optimize_in_place(pose, points, pixels, weights, intrinsics, inliers):  # ty
         trial = pose.copy()
         _minimize(trial, points, pixels, weights, intrinsics, active, round_index < _ROBUST_ROUNDS)
         _measure(trial, points, pixels, weights, intrinsics, chi2)
-        trial_active = chi2 <= _limit(chi2)
+        trial_active = chi2 <= _chi2_gate(chi2)
         unchanged = round_index >= _ROBUST_ROUNDS and np.array_equal(trial_active, active)
         active = trial_active
         if np.count_nonzero(active) < _MIN_POINTS and round_index > 0:
@@ -79,8 +80,8 @@ def optimize_in_place(pose, points, pixels, weights, intrinsics, inliers):  # ty
 
 
 @compiled
-def _limit(chi2):  # type: ignore[no-untyped-def]
-    """The chi-square up to which a point has a say: by what the rest leave, one deviation at least."""
+def _chi2_gate(chi2):  # type: ignore[no-untyped-def]
+    """Return the chi-square up to which a point counts: by the median of all, one deviation at least."""
     return min(CHI2_95_2DOF, max(POSE_GATE_MEDIANS**2 * np.median(chi2), 1.0))
 
 

@@ -1,6 +1,6 @@
-"""The inner loops of the map: which keyframe sees which point.
+"""Compiled kernels of observations: which keyframe sees which point.
 
-The observations of a point form a linked list: `heads[p]` is its first link; a row of `links` (L, 3) holds the next
+The observations of a point form a linked list: `heads[p]` is its first link. A row of `links` (L, 3) holds the next
 link, -1 at the end, and the keyframe and the feature that show the point, side by side in memory.
 """
 
@@ -17,22 +17,26 @@ NEXT, KEYFRAME, FEATURE = 0, 1, 2  # columns of the links
 
 
 class Links(NamedTuple):
-    """Who sees which point: `heads` and `counts` of the points' lists (P,); `links` (L, 3); `keyframe_points` (K, F),
-    which says the same by keyframe; `alive` (P,)."""
+    """Observations, as a linked list for each point."""
 
     heads: Any
+    """First link of each point (P,)."""
     counts: Any
+    """Number of observations of each point (P,)."""
     links: Any
+    """Next link, keyframe and feature (L, 3)."""
     keyframe_points: Any
+    """The same by keyframe: the point of each feature (K, F)."""
     alive: Any
+    """Which points are alive (P,)."""
 
 
 class Replacements(NamedTuple):
-    """What became of points: `replaced_by`, `found` and `visible` (P,); see PointTable."""
+    """Columns (P,) that change if points are replaced; see PointTable."""
 
     replaced_by: Any
-    found: Any
-    visible: Any
+    found_counts: Any
+    visible_counts: Any
 
 
 @compiled
@@ -46,8 +50,8 @@ def add_links(points: Any, keyframes: Any, features: Any, first_link: int, heads
 
 
 @compiled
-def forget_observations(keyframes: Any, features: Any, lists: Links) -> None:
-    """Forget what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
+def remove_observations(keyframes: Any, features: Any, lists: Links) -> None:
+    """Remove what keyframes[i] sees at features[i]; a point that fewer than two keyframes see dies."""
     heads, counts, links, keyframe_points, _ = lists
     for i in range(len(keyframes)):
         point = keyframe_points[keyframes[i], features[i]]
@@ -63,18 +67,18 @@ def forget_observations(keyframes: Any, features: Any, lists: Links) -> None:
         counts[point] -= 1
         keyframe_points[keyframes[i], features[i]] = -1
         if counts[point] < 2:
-            _kill(point, lists)
+            _remove_point(point, lists)
 
 
 @compiled
-def kill_points(points: Any, lists: Links) -> None:
-    """Let points die and forget who saw them."""
+def remove_points(points: Any, lists: Links) -> None:
+    """Remove points and their observations."""
     for point in points:
-        _kill(point, lists)
+        _remove_point(point, lists)
 
 
 @compiled
-def _kill(point: int, lists: Links) -> None:
+def _remove_point(point: int, lists: Links) -> None:
     link = lists.heads[point]
     while link >= 0:
         lists.keyframe_points[lists.links[link, KEYFRAME], lists.links[link, FEATURE]] = -1
@@ -85,17 +89,17 @@ def _kill(point: int, lists: Links) -> None:
 
 
 @compiled
-def replace(old: Any, new: Any, lists: Links, table: Replacements) -> None:
-    """Let new[i] be seen wherever old[i] was, where it is not seen already; old[i] dies."""
+def replace_points(old: Any, new: Any, lists: Links, table: Replacements) -> None:
+    """Let new[i] be seen wherever old[i] was, unless it is seen there already; old[i] dies."""
     for i in range(len(old)):
-        _hand_over(old[i], new[i], lists)
+        _transfer_observations(old[i], new[i], lists)
         table.replaced_by[old[i]] = new[i]
-        table.found[new[i]] += table.found[old[i]]
-        table.visible[new[i]] += table.visible[old[i]]
+        table.found_counts[new[i]] += table.found_counts[old[i]]
+        table.visible_counts[new[i]] += table.visible_counts[old[i]]
 
 
 @compiled
-def _hand_over(old: int, new: int, lists: Links) -> None:
+def _transfer_observations(old: int, new: int, lists: Links) -> None:
     heads, counts, links, keyframe_points, _ = lists
     link = heads[old]
     heads[old] = -1
@@ -104,19 +108,19 @@ def _hand_over(old: int, new: int, lists: Links) -> None:
         other = heads[new]
         while other >= 0 and links[other, KEYFRAME] != keyframe:
             other = links[other, NEXT]
-        taken = other >= 0
-        keyframe_points[keyframe, links[link, FEATURE]] = -1 if taken else new
-        if not taken:
+        is_observed = other >= 0
+        keyframe_points[keyframe, links[link, FEATURE]] = -1 if is_observed else new
+        if not is_observed:
             links[link, NEXT] = heads[new]
             heads[new] = link
             counts[new] += 1
         link = after
-    _kill(old, lists)
+    _remove_point(old, lists)
 
 
 @compiled
 def count_covisible(points: Any, keyframe_count: int, heads: Any, links: Any) -> Any:
-    """How many of `points` each keyframe sees (K,); negative indices are skipped."""
+    """Return how many of `points` each keyframe sees (K,); negative indices are skipped."""
     counts = np.zeros(keyframe_count, np.int64)
     for p in points:
         link = heads[p] if p >= 0 else -1
@@ -127,12 +131,14 @@ def count_covisible(points: Any, keyframe_count: int, heads: Any, links: Any) ->
 
 
 @compiled
-def rank_covisible(points: Any, left_out: int, keyframe_count: int, heads: Any, links: Any) -> Any:
-    """The keyframes that see any of `points` (K,), but for `left_out`, and how many they see (K,), most first and then
-    the oldest; negative indices are skipped."""
+def rank_covisible(points: Any, excluded: int, keyframe_count: int, heads: Any, links: Any) -> Any:
+    """Return the keyframes but `excluded` that see any of `points` (K,), and how many they see (K,).
+
+    Those that see most come first, then the oldest; negative indices are skipped.
+    """
     counts = count_covisible(points, keyframe_count, heads, links)
-    if left_out >= 0:
-        counts[left_out] = 0
+    if excluded >= 0:
+        counts[excluded] = 0
     seeing, most = np.nonzero(counts)[0], 0
     for k in seeing:
         most = max(most, counts[k])
@@ -145,7 +151,7 @@ def rank_covisible(points: Any, left_out: int, keyframe_count: int, heads: Any, 
 
 @compiled
 def resolve_points(points: Any, replaced_by: Any, alive: Any) -> Any:
-    """`points` (N,) with replaced ones exchanged for their replacements and dead ones for -1."""
+    """Return `points` (N,) with replaced ones exchanged for their replacements and dead ones for -1."""
     resolved = np.full(len(points), -1, np.int64)
     for i in range(len(points)):
         point = points[i]
@@ -157,29 +163,29 @@ def resolve_points(points: Any, replaced_by: Any, alive: Any) -> Any:
 
 
 @compiled
-def list_observations(points: Any, wanted: Any, counts: Any, heads: Any, links: Any) -> Any:
-    """Observations of `points` by keyframes `wanted` (K,) bool: index into `points`, keyframe, feature, (M,) each."""
+def list_observations(points: Any, included: Any, counts: Any, heads: Any, links: Any) -> Any:
+    """Return index into `points`, keyframe, feature, (M,) each, of observations by keyframes `included` (K,), bool."""
     total = 0
     for p in points:
         total += counts[p]
-    which = np.empty(total, np.int64)
+    point_rows = np.empty(total, np.int64)
     keyframes = np.empty(total, np.int64)
     features = np.empty(total, np.int64)
     m = 0
     for i in range(len(points)):
         link = heads[points[i]]
         while link >= 0:
-            if wanted[links[link, KEYFRAME]]:
-                which[m], keyframes[m], features[m] = i, links[link, KEYFRAME], links[link, FEATURE]
+            if included[links[link, KEYFRAME]]:
+                point_rows[m], keyframes[m], features[m] = i, links[link, KEYFRAME], links[link, FEATURE]
                 m += 1
             link = links[link, NEXT]
-    return which[:m], keyframes[:m], features[:m]
+    return point_rows[:m], keyframes[:m], features[:m]
 
 
 @compiled
-def unite_points(keyframes: Any, keyframe_points: Any, point_count: int) -> Any:
-    """The points that any of `keyframes` sees, ascending (P,)."""
-    seen = np.zeros(point_count + 1, np.bool_)  # the last is for features without a point
+def union_of_points(keyframes: Any, keyframe_points: Any, point_count: int) -> Any:
+    """Return the points that any of `keyframes` sees, ascending (P,)."""
+    seen = np.zeros(point_count + 1, np.bool_)  # the last one is for features without a point
     for k in keyframes:
         for f in range(keyframe_points.shape[1]):
             point = keyframe_points[k, f]

@@ -1,0 +1,1 @@
+"""Least squares: frame pose, bundle adjustment, pose graph of similarities."""
