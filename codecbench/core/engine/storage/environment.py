@@ -18,7 +18,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
-import codecbench
 from codecbench.core.engine.identity import digest, json_from_bytes
 from codecbench.core.engine.plugins.entry_points import origins
 from codecbench.core.engine.storage.atomic import write_file
@@ -95,7 +94,7 @@ def _bundled_libraries() -> dict[str, str]:
 @functools.cache
 def _checkout() -> dict[str, Any] | None:
     """Return the commit of codecbench's source tree and whether it has changes; None outside a checkout."""
-    folder = Path(codecbench.__file__).resolve().parents[1]
+    folder = Path(__file__).resolve().parents[4]
     if not (folder / ".git").exists():
         return None
     commit = _git(folder, "rev-parse", "HEAD")
