@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import os
 import sys
@@ -77,6 +76,8 @@ class LazyGroup(click.Group):
         try:
             return super().resolve_command(context, args)
         except click.UsageError as error:
+            import difflib  # only mistyped commands need it
+
             matches = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
             hint = f" Did you mean '{matches[0]}'?" if matches else ""
             raise click.UsageError(f"{error.message}{hint}", error.ctx) from None

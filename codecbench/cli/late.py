@@ -43,6 +43,7 @@ LATE: Final = frozenset((
     "codecbench.core.engine.storage.bitstream_file",
     "codecbench.core.engine.storage.plan_file",
     "codecbench.core.engine.storage.store",
+    "codecbench.core.engine.text",
     "codecbench.core.report.answers",
     "codecbench.core.report.choosing",
     "codecbench.core.report.costs",

@@ -17,7 +17,7 @@ from typing import Final
 import click
 
 from codecbench.core.contracts.errors import CodecbenchError, StoreError
-from codecbench.core.engine.text import clean_text
+from codecbench.core.engine import text as terminal_text
 
 
 class ExitStatus(IntEnum):
@@ -136,7 +136,7 @@ def say(text: str, *, indent: int = 0, err: bool = False, fg: str | None = None,
     On a terminal, or if COLUMNS is set, the line is wrapped between words; paths and addresses stay whole. Else it is
     one row, so that `tail -n 1` shows all of the last message.
     """
-    text = clean_text(text.replace("\n", " "))
+    text = terminal_text.clean_text(text.replace("\n", " "))
     if (sys.stderr if err else sys.stdout).isatty() or "COLUMNS" in os.environ:
         width = shutil.get_terminal_size().columns
         text = textwrap.fill(

@@ -12,8 +12,8 @@ from codecbench.cli.parameters import Format
 from codecbench.cli.rank import show_verdicts
 from codecbench.core.analysis import collect
 from codecbench.core.analysis import table as analysis_table
+from codecbench.core.engine import text as terminal_text
 from codecbench.core.engine.storage import atomic
-from codecbench.core.engine.text import counted
 from codecbench.core.report import choosing as choosing_tables
 from codecbench.core.report import figures, tables
 from codecbench.core.report import page as report_page
@@ -93,8 +93,8 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
         whole = [name for name in frame.columns if columns is not None or "/" not in name]
         show.show_table(frame[whole], result.plan.name)
         if left_out := len(frame.columns) - len(whole):
-            said = f"{counted(left_out, 'column')} of single stages left out here; --columns '*/*' shows them"
-            say(said)
+            count = terminal_text.counted(left_out, "column")
+            say(f"{count} of single stages left out here; --columns '*/*' shows them")
         return
     if headlines and format_ in ("markdown", "latex"):
         frame, same = tables.drop_constant_columns(
