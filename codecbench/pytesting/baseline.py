@@ -18,7 +18,7 @@ import numpy as np
 
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.storage.environment import describe_machine
-from codecbench.plugins.evaluators.timing.clock import repeated, yardstick
+from codecbench.plugins.evaluators.timed_calls import time_repeatedly, yardstick
 
 _EXACT: Final = ("version", "size_bytes", "psnr_db", "encode_operations", "decode_operations")
 _ROUNDING_DB: Final = 1e-9
@@ -133,7 +133,7 @@ def relative_time(call: Callable[[], object], yardstick_ms: float | None = None)
     while len(ratios) < _LEAST_PAIRS:
         if yardstick_ms is not None and time.monotonic() > end_s:
             return None
-        call_ms = repeated(call, before)[1].cpu_ms
+        call_ms = time_repeatedly(call, before)[1].cpu_ms
         after = yardstick().cpu_ms
         mean = (before + after) / 2.0
         if yardstick_ms is None or abs(mean - yardstick_ms) <= _SAME_SPEED * yardstick_ms:

@@ -19,7 +19,7 @@ from codecbench.core.contracts.errors import CodecbenchError, Unsupported
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.counting.trace import CountingTrace
 from codecbench.core.engine.plugins.registry import installed, loads
-from codecbench.plugins.evaluators.quality.psnr import psnr_db
+from codecbench.plugins.evaluators.fidelity import psnr_db
 from codecbench.pytesting import ALL
 
 

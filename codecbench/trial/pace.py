@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.engine.plugins.registry import Registry
-from codecbench.plugins.evaluators.timing.clock import timed, yardstick
+from codecbench.plugins.evaluators.timed_calls import time_call, yardstick
 from codecbench.trial.recording import Recording
 
 _USUAL_MS: Final = 0.7
@@ -63,5 +63,5 @@ def _reading_ms(registry: Registry, name: str, params: dict[str, Any]) -> float:
     times_ms = []
     for part in range(_FRAMES):
         with suppress(DatasetError):  # the run of the matrix reports it
-            times_ms.append(timed(partial(sequence.read, len(sequence) * part // _FRAMES))[1].wall_ms)
+            times_ms.append(time_call(partial(sequence.read, len(sequence) * part // _FRAMES))[1].wall_ms)
     return median(times_ms or [0.0])

@@ -15,8 +15,8 @@ from codecbench.core.contracts.sequence import Frame, FrameSequence
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.evaluators.features import Features
+from codecbench.plugins.evaluators.fidelity import multiscale_similarity, similarity
 from codecbench.plugins.evaluators.localization import Localization
-from codecbench.plugins.evaluators.quality.ssim import multiscale_similarity, similarity
 from codecbench.plugins.evaluators.relative_pose import RelativePose
 from codecbench.plugins.slam_backends.orb import Orb
 

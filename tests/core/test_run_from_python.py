@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -34,16 +35,19 @@ def test_a_dict_is_a_matrix_and_stays_in_the_run_folder(run: RunResult) -> None:
 
 
 def test_a_wrong_dict_is_told_as_a_wrong_file_is() -> None:
-    with pytest.raises(MatrixError, match=r"codecs\[0\]: unknown|codecs\[0\].*no codec is called 'jpg'"):
+    with pytest.raises(MatrixError, match=r"codecs\[0\].*'jpg'"):
         codecbench.run({**MATRIX, "codecs": ["jpg"]})
-    with pytest.raises(MatrixError, match="mappings, lists, texts, numbers and paths"):
+    with pytest.raises(MatrixError, match="numbers and paths"):
         codecbench.run({**MATRIX, "codecs": [object()]})
 
 
 def test_it_shows_itself_in_three_lines_and_as_a_table(run: RunResult) -> None:
-    assert repr(run).splitlines() == [
-        f"run python in {run.folder}", "raw, jpeg, jpeg2000 on synthetic (2 frames)", "cells: 7 ok",
+    first, second, third = repr(run).splitlines()
+    assert first == f"run python in {run.folder}"
+    assert [second.partition(" on ")[0], *re.findall(r"\d+ frames|synthetic", second)] == [
+        "raw, jpeg, jpeg2000", "synthetic", "2 frames",
     ]  # fmt: skip
+    assert third == "cells: 7 ok"
     table = run._repr_html_()
     assert table.count("<tr") == 8
     assert "quality=10" in table
@@ -56,9 +60,9 @@ def test_figures_are_found_by_words(run: RunResult) -> None:
     (axes,) = figure.axes
     assert "PSNR" in axes.get_ylabel()
     assert run.plot().axes
-    with pytest.raises(ParamsError, match=r"no figure 'rate-nonsense'.*rate_bpp-psnr_gray_db"):
+    with pytest.raises(ParamsError, match=r"'rate-nonsense'.*-psnr_"):
         run.plot("rate-nonsense")
-    with pytest.raises(ParamsError, match="no sequence 'other'; it has synthetic"):
+    with pytest.raises(ParamsError, match=r"sequence 'other'; .* synthetic"):
         run.plot("rate-psnr", "other")
 
 
@@ -68,13 +72,15 @@ def test_the_best_is_a_sentence_a_codec_or_at_a_rate_the_codec(run: RunResult) -
     rates = run.wide[run.wide["codec"] == "jpeg"]["quality.rate_bpp.mean"].sort_values().tolist()
     taken = run.best(float(np.sqrt(rates[0] * rates[1])))
     assert taken.curve in ("jpeg", "jpeg2000")  # type: ignore[union-attr]
-    with pytest.raises(ParamsError, match="nothing can be ranked"):
+    with pytest.raises(ParamsError, match=r"nothing .*ranked at"):
         run.best(1e6)
 
 
 @pytest.mark.parametrize("wrong", ["quality.psnr_gray_db", True, 0.0, -1.0, float("nan"), float("inf"), [0.5]])
 def test_what_is_no_rate_is_answered_with_what_is(run: RunResult, wrong: Any) -> None:
-    with pytest.raises(ParamsError, match=r"^best\(.*give a rate above 0 in bit/px, as a number"):
+    with pytest.raises(
+        ParamsError, match=rf"^best\({re.escape(repr(wrong))}\): give a rate above 0 in bit/px, as a number"
+    ):
         run.best(wrong)
 
 
@@ -87,12 +93,12 @@ def test_frames_come_back_as_they_were_coded(run: RunResult) -> None:
         assert np.array_equal(jpeg.decode(bitstream), frame.decoded)  # type: ignore[attr-defined]
     assert [frame.bitstream for frame in run.frames("jpeg", {"quality": 10})] == [frame.bitstream for frame in coded]
     with pytest.raises(
-        ParamsError, match=r"jpeg quality=11 is not one setting of the run; say which of raw, jpeg quality=10"
+        ParamsError, match=r"^jpeg quality=11 is not one setting of the run; say which of raw, jpeg quality=10"
     ):
         run.frames("jpeg", {"quality": 11})
-    with pytest.raises(ParamsError, match="is not one setting"):
+    with pytest.raises(ParamsError, match=r"^jpeg ratio=10 is"):
         run.frames("jpeg", {"ratio": 10})
-    with pytest.raises(ParamsError, match="say which of jpeg quality=10, jpeg quality=50"):
+    with pytest.raises(ParamsError, match=r"of jpeg quality=10, .*=50"):
         run.frames("jpeg")
     with pytest.raises(ParamsError, match="say which of"):
         run.frames("jpeg", "quality=11")
@@ -104,15 +110,13 @@ def test_a_report_is_written(run: RunResult, tmp_path: Path) -> None:
 
 def test_a_codec_by_its_name() -> None:
     assert codecbench.codec("jpeg", quality=7).params.quality == 7
-    with pytest.raises(ParamsError, match="qualty: unknown; did you mean 'quality'"):
+    with pytest.raises(ParamsError, match=r"qualty: .*'quality'"):
         codecbench.codec("jpeg", qualty=7)
-    with pytest.raises(ParamsError, match=r"quality: .*less than or equal to 100; got 700"):
+    with pytest.raises(ParamsError, match=r"quality: .* 100; got 700"):
         codecbench.codec("jpeg", quality=700)
-    with pytest.raises(PluginError, match="did you mean 'jpeg'"):
+    with pytest.raises(PluginError, match=r"'jpge'.* 'jpeg'"):
         codecbench.codec("jpge")
-    with pytest.raises(
-        ParamsError, match="one value is wanted of quality: make a codec of each, or a grid in a matrix"
-    ):
+    with pytest.raises(ParamsError, match=r"one value .* quality: "):
         codecbench.codec("jpeg", quality=[10, 20])
 
 

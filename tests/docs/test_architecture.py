@@ -37,11 +37,9 @@ def test_functions_that_are_named_are_where_it_says() -> None:
         assert re.search(rf"\b{name}\b", (ROOT / path).read_text()), f"{name} in {path}"
 
 
-@pytest.mark.parametrize(
-    "edit", ["a metric", "a codec with a parameter", "another keyframe policy", "a column of the table", "a threshold"]
-)
+@pytest.mark.parametrize("edit", ["a metric", "a codec with", "another keyframe policy", "a column", "a threshold"])
 def test_the_usual_edits_are_in_the_table(edit: str) -> None:
-    (row,) = re.findall(rf"^\| {edit} \|.*$", PAGE, re.MULTILINE)
+    (row,) = re.findall(rf"^\| {edit} .*$", PAGE, re.MULTILINE)
     assert any(Path(ROOT / name).exists() for name in re.findall(r"`(codecbench/[\w./]+)`", row))
 
 

@@ -40,9 +40,10 @@ def test_the_matrix_is_planned(drive: Path, capsys: pytest.CaptureFixture[str]) 
     (drive / "drive.yaml").write_text(example("matrix"))
     plan.main([str(drive / "drive.yaml")], standalone_mode=False)
     said = capsys.readouterr().out
-    assert "drive: 300 frames, colour, camera, ground truth" in said
-    assert "    /camera/image_raw: 300 of sensor_msgs/msg/Image, 32x24 rgb8" in said
-    assert "    ground truth: 1 poses of /mocap/pose (geometry_msgs/msg/PoseStamped)" in said
+    (drive_line,) = re.findall(r"^ *drive: (300 .*)$", said, re.MULTILINE)
+    assert drive_line.split(", ") == ["300 frames", "colour", "camera", "ground truth"]
+    assert re.search(r"^    /camera/image_raw: 300 .* 32x24 ", said, re.MULTILINE)
+    assert re.search(r"^    ground truth: 1 .* /mocap/pose ", said, re.MULTILINE)
     assert "coding jobs: 3" in said
 
 
@@ -51,7 +52,7 @@ def test_the_lines_of_python_run(capsys: pytest.CaptureFixture[str]) -> None:
     exec(example("python"), {})
     said = capsys.readouterr().out
     assert said.startswith("300 Camera(width=32, height=24, fx=30.0")
-    assert "camera: /camera/camera_info" in said
+    assert "/camera/camera_info" in said
 
 
 def test_every_parameter_and_encoding_is_explained() -> None:

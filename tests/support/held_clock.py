@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from codecbench.plugins.evaluators.timing import clock
+from codecbench.plugins.evaluators import timed_calls
 
 
 class HeldClock:
@@ -33,5 +33,5 @@ CLOCK = HeldClock()
 @pytest.fixture
 def held_clock(monkeypatch: pytest.MonkeyPatch) -> HeldClock:
     """CLOCK, by which calls are timed during this test."""
-    monkeypatch.setattr(clock, "time", CLOCK)
+    monkeypatch.setattr(timed_calls, "time", CLOCK)
     return CLOCK

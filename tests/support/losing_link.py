@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from codecbench.plugins.links.ideal import Ideal
+from codecbench.plugins.links.constant import Ideal
 
 
 class Losing(Ideal):

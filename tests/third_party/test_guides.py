@@ -74,7 +74,7 @@ def test_the_guide_shows_the_project_that_is_tested_or_how_it_differs_from_the_c
     text = (THIRD_PARTY / name / "pyproject.toml").read_text()
     if text in _page(name):
         return
-    assert f"(writing-a-codec.md#the-package), with `{name}` in place of `posterize`" in _page(name)
+    assert re.search(rf"#the-package\), with `{name}` .* `posterize`", _page(name))
     (shown,) = re.findall(r"```toml\n(.*?)```", (DOCS / "writing-a-codec.md").read_text(), re.DOTALL)
     project, expected = tomllib.loads(text), tomllib.loads(shown.replace("posterize", name))
     further = [word for word in project["project"]["dependencies"] if word not in expected["project"]["dependencies"]]
@@ -104,9 +104,9 @@ def test_frames_of_a_dataset_are_known_again_and_wrong_ones_refused(
     frames = rng.integers(0, 256, (5, 24, 32, 3), dtype=np.uint8)
     np.save(tmp_path / "frames.npy", frames)
     assert "  - use: npy\n" in call("init", "--from", "frames.npy", "--codec", "png", "--out", "-")
-    assert "frames in one NumPy file" in call("list", "datasets")
+    assert "one NumPy file" in call("list", "datasets")
     call("run", "matrix.yaml", "--quiet", "--out", "run")
-    assert "of them from before" in call("run", "matrix.yaml", "--quiet", "--out", "run")
+    assert "them from before" in call("run", "matrix.yaml", "--quiet", "--out", "run")
     np.save(tmp_path / "frames.npy", frames.astype(np.float32))
     assert "float32 (5, 24, 32, 3); allowed: uint8" in call("run", "matrix.yaml", "--out", "other", status=2)
 
@@ -116,7 +116,7 @@ def test_frames_of_a_dataset_are_known_again_and_wrong_ones_refused(
 def test_a_codec_with_memory_reaches_the_table_and_its_delay_is_noted(call: Call, tmp_path: Path) -> None:
     assert "differences between pictures" in call("list", "codecs")
     shown = call("run", "matrix.yaml", "--out", "run")
-    assert "delta, hold=3: holds back 3 frames (100 ms)." in shown
+    assert re.search(r"^delta, hold=3: .* 3 .*\(100 ms\)", shown, re.MULTILINE)
     table = call("table", "run", "--tidy", "--format", "csv")
     assert _samples(table, "delay_frames") == [0.0, 0.0, 3.0]
     assert set(_samples(table, "psnr_gray_db")) == {float("inf")}
@@ -134,7 +134,7 @@ def test_a_codec_with_memory_reaches_the_table_and_its_delay_is_noted(call: Call
 @pytest.mark.thorough
 @pytest.mark.parametrize("call", ["corners"], indirect=True)
 def test_a_codec_of_features_stands_beside_codecs_of_pictures(call: Call) -> None:
-    assert "OpenCV's ORB features, deflated" in call("list", "codecs")
+    assert "ORB features, deflated" in call("list", "codecs")
     assert "skip  threads" in call("verify", "corners", "--only", "loss", "--only", "threads")
     call("run", "matrix.yaml", "--quiet", "--out", "run")
     table = call("table", "run", "--tidy", "--format", "csv")
@@ -172,7 +172,7 @@ def test_an_executor_runs_every_cell_where_it_says(call: Call, tmp_path: Path) -
 @pytest.mark.thorough
 @pytest.mark.parametrize("call", ["turns"], indirect=True)
 def test_a_link_carries_what_is_delivered(call: Call) -> None:
-    assert "takes turns with the other side" in call("list", "links")
+    assert "takes turns with" in call("list", "links")
     call("run", "matrix.yaml", "--quiet", "--out", "run")
     table = call("table", "run", "--tidy", "--format", "csv")
     on_time = _samples(table, "on_time")

@@ -1,4 +1,4 @@
-"""The evaluators that ship with codecbench, as references: nothing heavy is imported until a cell needs it."""
+"""The evaluators that ship with codecbench, by reference, so that nothing heavy is imported until a cell needs it."""
 
 from __future__ import annotations
 

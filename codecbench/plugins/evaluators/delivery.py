@@ -1,4 +1,4 @@
-"""The `delivery` evaluator: what arrives of a coded sequence over a link, and when. docs/link.md explains the link."""
+"""The `delivery` evaluator measures which frames of a coded sequence arrive over a link, and when; see docs/link.md."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ from codecbench.core.simulation.receiver import FrameOutcome
 from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.evaluators.outcomes import rows_of_outcomes
 
-_UNTIMELY: Final[dict[FrameOutcome, tuple[str, str]]] = {
+_CAUSES_OF_LOSS: Final[dict[FrameOutcome, tuple[str, str]]] = {
     "late": ("share of frames older than deadline_ms, or after a newer one", "too late"),
     "lost": ("share of frames sent but never whole", "lost on the way"),
     "broken": ("share of frames whole that depend on one not whole", "broken by an earlier loss"),
     "skipped": ("share of frames never sent, for want of time or rate", "never sent"),
 }
+"""Summary and label of the metric `<outcome>_share` of each outcome that keeps a frame from being on time."""
 
 
 _TIMELINE: Final = "timeline.csv"
-"""For each frame, when it was taken, when it was there, and its outcome; in seconds, infinite if never in time."""
+"""File of a line for each frame: capture time, delivery time (both in seconds, infinite if never) and outcome."""
 _NOTE: Final = (
     "The age of the newest picture falls when one comes, and rises until the next; beside it the delay of each."
 )
@@ -53,12 +54,12 @@ class DeliveryParams(LinkSettings):
     architecture: Architecture = "cta"
 
 
-def _count(name: str, summary: str, label: str, aggregates: tuple[str, ...] = ("mean", "max")) -> Metric:
+def _count_metric(name: str, summary: str, label: str, aggregates: tuple[str, ...] = ("mean", "max")) -> Metric:
     return Metric(name, "1", "lower", summary, aggregates, label=label)
 
 
 class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
-    """Sizes alone are looked at: nothing is decoded, and coded anew only where the sender adapts."""
+    """Simulates delivery from frame sizes: decodes nothing, and encodes again only if the sender adapts its rate."""
 
     name = "delivery"
     version = "1"
@@ -98,12 +99,12 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         ),
         *(
             Metric(f"{outcome}_share", "1", "lower", summary, label=label, quantity="cause")
-            for outcome, (summary, label) in _UNTIMELY.items()
+            for outcome, (summary, label) in _CAUSES_OF_LOSS.items()
         ),
-        _count("stalls_half_s", "waits over 0.5 s for a frame", "stalls over 0.5 s"),
-        _count("stalls_1_s", "waits over 1 s for a frame", "stalls over 1 s"),
+        _count_metric("stalls_half_s", "waits over 0.5 s for a frame", "stalls over 0.5 s"),
+        _count_metric("stalls_1_s", "waits over 1 s for a frame", "stalls over 1 s"),
         Metric("longest_stall_s", "s", "lower", "longest wait for a frame", ("median", "max"), scale="log"),
-        _count(
+        _count_metric(
             "queue_packets", "packets queued when a frame comes to the encoder",
             "packets waiting", ("p95", "max"),
         ),
@@ -137,98 +138,104 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         return self.params.requires
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
-        """All parameters but `repeats`: more of them recompute nothing."""
+        """All parameters except `repeats`, so that more repeats recompute nothing."""
         return {name: value for name, value in self.params.identity().items() if name != "repeats"}
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         gets_features(coded.codec, self.params.architecture)
-        found = delivery_of(coded, self.params, context)
-        yield from _of_frames(found)
-        for outcome in _UNTIMELY:
-            yield Measurement(f"{outcome}_share", found.outcomes.count(outcome) / len(found.outcomes))
-        yield Measurement("delivered_share", float(found.came.mean()))
-        handed = found.output_frames
-        concealed = found.outcomes.count("concealed")
+        delivery = delivery_of(coded, self.params, context)
+        yield from _frame_measurements(delivery)
+        for outcome in _CAUSES_OF_LOSS:
+            yield Measurement(f"{outcome}_share", delivery.outcomes.count(outcome) / len(delivery.outcomes))
+        yield Measurement("delivered_share", float(delivery.came.mean()))
+        handed = delivery.output_frames
+        concealed = delivery.outcomes.count("concealed")
         yield (
             Measurement("concealed_share", concealed / len(handed))
             if handed
             else Measurement("concealed_share", math.nan, reason="no picture was on time")
         )
         if self.params.partial:
-            yield from _of_parts(found)
-        gaps_s = found.gaps_s()
+            yield from _partial_measurements(delivery)
+        gaps_s = delivery.gaps_s()
         yield Measurement("stalls_half_s", float(np.count_nonzero(gaps_s > 0.5)))
         yield Measurement("stalls_1_s", float(np.count_nonzero(gaps_s > 1.0)))
         yield Measurement("longest_stall_s", float(gaps_s.max()))
-        yield from _rates(found, len(found.outcomes) / coded.sequence.frame_rate_hz)
+        yield from _rates(delivery, len(delivery.outcomes) / coded.sequence.frame_rate_hz)
         for name in ("sent", "arrived", "late", "lost", "dropped"):
-            yield Measurement(f"packets_{name}", float(getattr(found.packets, name)))
-        rows = zip(found.captured_s, found.handed_s, found.outcomes, strict=True)
-        lines = [f"{taken_s:.6f},{handed_s:.6f},{outcome}\n" for taken_s, handed_s, outcome in rows]
+            yield Measurement(f"packets_{name}", float(getattr(delivery.packets, name)))
+        rows = zip(delivery.captured_s, delivery.handed_s, delivery.outcomes, strict=True)
+        lines = [f"{captured_s:.6f},{handed_s:.6f},{outcome}\n" for captured_s, handed_s, outcome in rows]
         (context.artifacts / _TIMELINE).write_text("".join(lines))
 
     def drawing(self, outcome: Outcome) -> Drawing:
         captured_s, handed_s, outcomes = _read_timeline(outcome.artifacts / _TIMELINE)
-        came = np.isfinite(handed_s)
-        shares = [(cause, outcome.value(f"{cause}_share")) for cause in _UNTIMELY]
+        is_on_time = np.isfinite(handed_s)
+        shares = [(cause, outcome.value(f"{cause}_share")) for cause in _CAUSES_OF_LOSS]
         words = [f"{100 * share:.0f} % {cause}" for cause, share in shares if share >= 0.005]
         lines = (
-            Line("age of the newest picture", "after", _saw(captured_s[came], handed_s[came], captured_s[-1])),
-            Line("delay of pictures", "before", np.column_stack([captured_s, handed_s - captured_s])[came]),
+            Line(
+                "age of the newest picture",
+                "after",
+                _age_sawtooth(captured_s[is_on_time], handed_s[is_on_time], captured_s[-1]),
+            ),
+            Line("delay of pictures", "before", np.column_stack([captured_s, handed_s - captured_s])[is_on_time]),
         )
-        caption = ", ".join([f"{100 * came.mean():.0f} % on time", *words])
-        known = np.searchsorted(handed_s[came], captured_s, side="right")
-        ages_s = captured_s - np.concatenate([captured_s[:1], captured_s[came]])[known]
+        caption = ", ".join([f"{100 * is_on_time.mean():.0f} % on time", *words])
+        newest = np.searchsorted(handed_s[is_on_time], captured_s, side="right")
+        ages_s = captured_s - np.concatenate([captured_s[:1], captured_s[is_on_time]])[newest]
         frames = np.arange(len(captured_s))
         timeline = FrameTimeline(frames, None, ages_s, "s", rows_of_outcomes(outcomes), "age of the newest picture")
-        drawn = tuple(line for line in lines if len(line.points))
-        return Drawing(drawn, caption, axes=("time [s]", "age [s]"), timeline=timeline)
+        nonempty = tuple(line for line in lines if len(line.points))
+        return Drawing(nonempty, caption, axes=("time [s]", "age [s]"), timeline=timeline)
 
 
 def _read_timeline(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]]:
-    """When each frame was taken and there, and its outcome; none of them in a file from before outcomes were kept."""
+    """Capture times, delivery times and outcomes of the frames; older files have no outcomes, which are then empty."""
     rows = [line.split(",") for line in path.read_text().splitlines()]
     captured_s, handed_s = (np.array([float(row[column]) for row in rows]) for column in (0, 1))
     return captured_s, handed_s, [row[2] for row in rows if len(row) > 2]
 
 
-def _saw(taken_s: NDArray[np.float64], handed_s: NDArray[np.float64], end_s: float) -> NDArray[np.float64]:
-    """(P, 2) time and age of the newest picture, which falls when one comes and rises until the next; from time 0."""
-    newest_s = np.concatenate([[0.0], taken_s])
+def _age_sawtooth(captured_s: NDArray[np.float64], handed_s: NDArray[np.float64], end_s: float) -> NDArray[np.float64]:
+    """(P, 2) time and age of the newest picture, from time 0. The age falls when one arrives, then rises."""
+    newest_s = np.concatenate([[0.0], captured_s])
     begins_s = np.concatenate([[0.0], handed_s])
     ends_s = np.concatenate([handed_s, [max(end_s, begins_s[-1])]])
     times_s = np.column_stack([begins_s, ends_s]).ravel()
     return np.column_stack([times_s, times_s - np.repeat(newest_s, 2)])
 
 
-def _of_frames(found: Delivery) -> Iterator[Measurement]:
+def _frame_measurements(delivery: Delivery) -> Iterator[Measurement]:
+    """The metrics that have a value for each frame."""
     for frame, (outcome, age_s, waiting) in enumerate(
-        zip(found.outcomes, found.ages_s().tolist(), found.waiting.tolist(), strict=True)
+        zip(delivery.outcomes, delivery.ages_s().tolist(), delivery.waiting.tolist(), strict=True)
     ):
-        is_on_time = math.isfinite(found.handed_s[frame])
-        delay_ms = 1e3 * float(found.handed_s[frame] - found.captured_s[frame]) if is_on_time else math.nan
+        is_on_time = math.isfinite(delivery.handed_s[frame])
+        delay_ms = 1e3 * float(delivery.handed_s[frame] - delivery.captured_s[frame]) if is_on_time else math.nan
         yield Measurement("on_time", float(is_on_time), frame)
         yield Measurement("delay_ms", delay_ms, frame, reason=None if is_on_time else f"the picture was {outcome}")
         yield Measurement("age_ms", 1e3 * age_s, frame)
         yield Measurement("queue_packets", float(waiting), frame)
 
 
-def _of_parts(found: Delivery) -> Iterator[Measurement]:
-    whole = [found.parts[frame].whole_share for frame in found.output_frames if frame in found.parts]
-    if not found.output_frames:
+def _partial_measurements(delivery: Delivery) -> Iterator[Measurement]:
+    """The metrics of frames that were handed on with packets missing."""
+    whole_shares = [delivery.parts[frame].whole_share for frame in delivery.output_frames if frame in delivery.parts]
+    if not delivery.output_frames:
         yield Measurement("partial_share", math.nan, reason="no picture was on time")
     else:
-        yield Measurement("partial_share", len(whole) / len(found.output_frames))
-    reason = None if whole else "no picture came in part"
-    yield Measurement("partial_whole_share", float(np.mean(whole)) if whole else math.nan, reason=reason)
+        yield Measurement("partial_share", len(whole_shares) / len(delivery.output_frames))
+    reason = None if whole_shares else "no picture came in part"
+    yield Measurement("partial_whole_share", float(np.mean(whole_shares)) if whole_shares else math.nan, reason=reason)
 
 
-def _rates(found: Delivery, duration_s: float) -> Iterator[Measurement]:
-    handed = found.output_frames
-    sent_bytes = int(found.sent_bytes.sum())
-    yield Measurement("goodput_kbps", 8e-3 * found.output_bytes / duration_s)
+def _rates(delivery: Delivery, duration_s: float) -> Iterator[Measurement]:
+    handed = delivery.output_frames
+    sent_bytes = int(delivery.sent_bytes.sum())
+    yield Measurement("goodput_kbps", 8e-3 * delivery.output_bytes / duration_s)
     yield Measurement("sent_kbps", 8e-3 * sent_bytes / duration_s)
     if sent_bytes:
-        yield Measurement("wasted_share", 1.0 - float(found.sent_bytes[handed].sum()) / sent_bytes)
+        yield Measurement("wasted_share", 1.0 - float(delivery.sent_bytes[handed].sum()) / sent_bytes)
     else:
         yield Measurement("wasted_share", math.nan, reason="nothing was sent")

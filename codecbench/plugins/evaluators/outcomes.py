@@ -1,4 +1,4 @@
-"""What became of frames on a link, as rows of a timeline."""
+"""Delivery outcomes of frames as rows of a timeline."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ _TONES: Final[dict[FrameOutcome, Tone]] = {
     "on time": "good", "concealed": "fair", "partial": "fair", "late": "bad", "lost": "bad", "broken": "bad",
     "skipped": "fair",
 }  # fmt: skip
-"""Nobody failed at a picture that was never sent: something newer took its place."""
+"""A frame that was skipped is no failure: a newer one was sent in its place."""
 
 
 def rows_of_outcomes(outcomes: Sequence[str]) -> tuple[TimelineRow, ...]:
-    """A row for each outcome that a frame met, from the best to the worst. outcomes: of the frames (N,)."""
-    told = np.array(outcomes, dtype=object)
-    return tuple(TimelineRow(outcome, tone, told == outcome) for outcome, tone in _TONES.items() if outcome in outcomes)
+    """One row for each outcome that occurs, from best to worst. outcomes: (N,) one for each frame."""
+    values = np.array(outcomes, dtype=object)
+    return tuple(
+        TimelineRow(outcome, tone, values == outcome) for outcome, tone in _TONES.items() if outcome in outcomes
+    )

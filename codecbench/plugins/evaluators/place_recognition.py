@@ -1,8 +1,8 @@
-"""The `place_recognition` evaluator: whether decoded frames find the places that they revisit among raw ones.
+"""The `place_recognition` evaluator measures whether decoded frames retrieve raw frames of the same place.
 
 Sources: bags of binary words after Galvez-Lopez and Tardos, T-RO 28(5), 2012, doi:10.1109/TRO.2012.2197158; recall at N
-as in Arandjelovic et al., "NetVLAD", CVPR 2016, doi:10.1109/CVPR.2016.572; average precision after Everingham and
-others' usage in retrieval, without interpolation.
+as in Arandjelovic et al., "NetVLAD", CVPR 2016, doi:10.1109/CVPR.2016.572; average precision without interpolation, as
+usual in retrieval, after Everingham et al.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, FrameSequence
-from codecbench.plugins.evaluators.true_poses import Poses, rotation_angles_deg, true_poses
+from codecbench.plugins.evaluators.trajectory.alignment import Poses, rotation_angles_deg, true_poses
 from codecbench.slam.features.extractor import FeatureExtractor
 from codecbench.slam.places.recognition import KeyframeDatabase
 from codecbench.slam.places.vocabulary import BowVector, Vocabulary
@@ -46,22 +46,23 @@ class PlaceRecognitionParams(Params):
 
 @dataclass(frozen=True)
 class Places:
-    """The raw frames of a sequence, to be asked; `revisits` lists by frame the others that show its place."""
+    """The raw frames of a sequence as a database to query."""
 
     database: KeyframeDatabase
     timestamps_s: NDArray[np.float64]
     revisits: dict[int, NDArray[np.int64]]
+    """By frame, the other frames that show its place."""
 
     def ranking(self, bag: BowVector, frame: int, gap_s: float) -> NDArray[np.int64]:
-        """Raw frames that share a word with the bag of a frame, most alike first, without those within `gap_s`."""
-        found, scores, _ = self.database.query(bag)
-        far = np.abs(self.timestamps_s[found] - self.timestamps_s[frame]) >= gap_s
-        found, scores = found[far], scores[far]
-        return np.asarray(found[np.argsort(-scores, kind="stable")])
+        """Raw frames that share a word with the bag of a frame, most similar first, except those within `gap_s`."""
+        candidates, scores, _ = self.database.query(bag)
+        far = np.abs(self.timestamps_s[candidates] - self.timestamps_s[frame]) >= gap_s
+        candidates, scores = candidates[far], scores[far]
+        return np.asarray(candidates[np.argsort(-scores, kind="stable")])
 
 
 class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
-    """Every decoded frame that has a revisit asks a database of the raw frames for what looks like it."""
+    """Queries a database of the raw frames with every decoded frame whose place is revisited."""
 
     name = "place_recognition"
     version = "2"
@@ -89,7 +90,7 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
         sequence, camera = coded.sequence, coded.sequence.camera
         if camera is None:
             raise Unsupported(f"sequence {sequence.name} has no camera; its features cannot be placed")
-        bags = _Bags(camera, self.params.features)
+        bags = _BagOfWords(camera, self.params.features)
         key = ("place_recognition", self.version, *self.params.model_dump().values())
         places = sequence.read(0).cached(key, lambda _: self._places(sequence, bags))
         if not any(len(others) for others in places.revisits.values()):
@@ -108,7 +109,7 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
                 reason = "no other frame shows the place of this one"
                 yield from (Measurement(m.name, math.nan, frame=index, reason=reason) for m in self.metrics)
 
-    def _places(self, sequence: FrameSequence, bags: _Bags) -> Places:
+    def _places(self, sequence: FrameSequence, bags: _BagOfWords) -> Places:
         params = self.params
         poses = true_poses(sequence, params.association_s)
         stamps_s = sequence.timestamps_s
@@ -126,7 +127,7 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
 def revisits_of(
     frame: int, poses: Poses, stamps_s: NDArray[np.float64], radius_m: float, angle_deg: float, gap_s: float
 ) -> NDArray[np.int64]:
-    """Frames (R,) at least `gap_s` from a frame whose true poses (N, 4, 4) are near its own; NaN is near nothing."""
+    """(R,) frames at least `gap_s` from a frame whose true poses (N, 4, 4) are near its own; NaN is never near."""
     with np.errstate(invalid="ignore"):
         near = np.linalg.norm(poses[:, :3, 3] - poses[frame, :3, 3], axis=1) <= radius_m
         near &= np.abs(stamps_s - stamps_s[frame]) >= gap_s
@@ -136,19 +137,19 @@ def revisits_of(
 
 
 def recall(ranking: NDArray[np.int64], relevant: NDArray[np.int64], first: int) -> float:
-    """1 where one of the `first` of a ranking is relevant, else 0."""
+    """1 if one of the `first` frames of a ranking is relevant, else 0."""
     return float(np.isin(ranking[:first], relevant).any())
 
 
 def average_precision(ranking: NDArray[np.int64], relevant: NDArray[np.int64]) -> float:
-    """Mean over the relevant ones of the precision at their rank; those that are not ranked count 0."""
+    """Mean precision at the ranks of the relevant frames; a relevant frame that is not ranked counts 0."""
     hits = np.isin(ranking, relevant)
     precisions = np.cumsum(hits) / np.arange(1, len(ranking) + 1)
     return float(precisions[hits].sum() / len(relevant))
 
 
-class _Bags:
-    """Bags of words of images, by the vocabulary that comes with the SLAM."""
+class _BagOfWords:
+    """Computes bags of words of images with the SLAM's default vocabulary."""
 
     def __init__(self, camera: Camera, features: int) -> None:
         sizes = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)

@@ -1,4 +1,4 @@
-"""The executors that ship with codecbench, as references: nothing heavy is imported until a run needs it."""
+"""The executors that ship with codecbench, by reference, so that nothing heavy is imported until a run needs it."""
 
 from __future__ import annotations
 

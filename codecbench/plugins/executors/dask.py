@@ -1,8 +1,8 @@
-"""The dask executor: the same tasks on the workers of a dask.distributed cluster.
+"""The dask executor runs tasks on the workers of a dask.distributed cluster.
 
-A dask worker hands each task to an isolated process of its own (see `pool`), so that a codec that crashes,
-hangs or eats memory costs its cell and not the worker. A worker that dies as a whole, with its host, say, has its
-tasks tried again elsewhere, `retries` times. Only the coordinator writes to the run folder.
+A dask worker hands each task to an isolated process of its own (see `pool`), so that a codec that crashes, hangs or
+uses too much memory costs its cell and not the worker. If a worker dies as a whole, for instance with its host, its
+tasks are retried elsewhere, up to `retries` times. Only the coordinator writes to the run folder.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from codecbench.core.contracts.errors import CodecbenchError, Unsupported
 from codecbench.core.contracts.executor import Executor, Finished, Task
 from codecbench.core.contracts.params import Params
 from codecbench.plugins.executors.dask_worker import perform_isolated, stop_pools
-from codecbench.plugins.executors.fork_server import hidden_main
+from codecbench.plugins.executors.fork_server import hide_main
 
 log = logging.getLogger("codecbench.dask")
 
@@ -36,12 +36,12 @@ _CLUSTERS: Final = {
     "pbs": ("dask_jobqueue", "PBSCluster", "dask-jobqueue"),
 }
 _SEND_DIRECTLY_BYTES: Final = 1 << 20
-"""Larger tasks go to a worker past the scheduler, which would otherwise hold them all."""
+"""Larger tasks bypass the scheduler, which would otherwise hold them all in memory."""
 
 _CLOSE_S: Final = 20.0
 
 _LOOK_EVERY_S: Final = 5.0
-"""How often the number of workers is asked for."""
+"""Interval between checks of the number of workers."""
 
 
 class DaskParams(Params):
@@ -72,16 +72,16 @@ class DaskParams(Params):
         return self
 
     @property
-    def made(self) -> str:
-        """What kind of cluster is made where there is no address."""
+    def cluster_kind(self) -> str:
+        """The kind of cluster to make if there is no address."""
         return self.cluster or "local"
 
 
 class DaskExecutor(Executor[DaskParams]):
     """Runs tasks on a dask.distributed cluster.
 
-    Exclusive tasks wait until nothing else runs and then go one at a time, all to the same worker, so that
-    times are of one machine and nothing of ours disturbs them.
+    Exclusive tasks wait until nothing else runs. Then they run one at a time, all on the same worker, so that times are
+    of one machine and no other task disturbs them.
     """
 
     name = "dask"
@@ -90,22 +90,22 @@ class DaskExecutor(Executor[DaskParams]):
 
     def __init__(self, params: DaskParams) -> None:
         super().__init__(params)
-        local = params.address is None and params.made == "local"
+        local = params.address is None and params.cluster_kind == "local"
         self.shares_files = local if params.shared_files is None else params.shared_files
         self._cluster: Any = None
         self._client: Any = None
         self._prepare: Callable[[], None] | None = None
-        self._running: dict[str, _Sent] = {}
+        self._running: dict[str, _Submission] = {}
         self._waiting: deque[Task] = deque()
         self._alone = False
         self._done: queue.Queue[tuple[str, Any]] = queue.Queue()
         self._numbers = itertools.count()
         self._stopping = False
-        self._wanted = 0
-        self._looked = self._last_seen = 0.0
+        self._worker_count = 0
+        self._checked_at = self._last_seen = 0.0
 
     def start(self, workers: int, prepare: Callable[[], None]) -> None:
-        import dask
+        import dask  # an optional extra
         from distributed import Client
 
         self._prepare = prepare
@@ -117,12 +117,12 @@ class DaskExecutor(Executor[DaskParams]):
                 where = self._cluster or self.params.address
                 self._client = Client(where, timeout=self.params.start_timeout_s)  # type: ignore[no-untyped-call]
                 self._client.wait_for_workers(1, timeout=self.params.start_timeout_s)
-            except (OSError, TypeError, ValueError) as error:  # TimeoutError is an OSError; the others are of settings
-                place = self.params.address or f"the {self.params.made} cluster"
+            except (OSError, TypeError, ValueError) as error:  # TimeoutError is an OSError; settings raise the others
+                place = self.params.address or f"the {self.params.cluster_kind} cluster"
                 cause = error if isinstance(error, OSError) else OSError(str(error))
                 raise CodecbenchError(f"no dask worker at {place}: {error}") from cause
-        self._wanted = len(self._cluster.worker_spec) if self._cluster is not None else 0
-        self._looked = self._last_seen = time.monotonic()
+        self._worker_count = len(self._cluster.worker_spec) if self._cluster is not None else 0
+        self._checked_at = self._last_seen = time.monotonic()
         self._client.run_on_scheduler(_allow_failures, count=self.params.retries)
 
     def submit(self, task: Task) -> None:
@@ -130,15 +130,15 @@ class DaskExecutor(Executor[DaskParams]):
         self._fill()
 
     def next_finished(self, timeout_s: float) -> Finished | None:
-        self._look_after_workers()
+        self._check_workers()
         try:
             task_id, future = self._done.get(timeout=timeout_s) if timeout_s > 0 else self._done.get_nowait()
         except queue.Empty:
             return None
-        sent = self._running[task_id]
+        submission = self._running[task_id]
         finished = _outcome(task_id, future)
-        if finished is None and sent.attempt <= self.params.retries:
-            self._send(sent.task, sent.attempt + 1)
+        if finished is None and submission.attempt <= self.params.retries:
+            self._send(submission.task, submission.attempt + 1)
             return None
         del self._running[task_id]
         self._fill()
@@ -151,7 +151,7 @@ class DaskExecutor(Executor[DaskParams]):
         cluster, self._cluster = self._cluster, None
         if client is not None:
             with suppress(OSError, RuntimeError):
-                client.cancel([sent.future for sent in self._running.values()], force=True)
+                client.cancel([submission.future for submission in self._running.values()], force=True)
                 client.run(stop_pools, wait=False, on_error="ignore")
         for connection in (client, cluster):
             if connection is not None:
@@ -159,31 +159,33 @@ class DaskExecutor(Executor[DaskParams]):
         self._running.clear()
 
     def _make_cluster(self, workers: int) -> Any:
-        module, name, requirement = _CLUSTERS[self.params.made]
+        module, name, requirement = _CLUSTERS[self.params.cluster_kind]
         try:
             make = getattr(importlib.import_module(module), name)
         except ImportError as error:
-            message = f"cluster: {self.params.made} needs {module}, which is not installed"
+            message = f"cluster: {self.params.cluster_kind} needs {module}, which is not installed"
             raise Unsupported(f"{message}; run: pip install {requirement}") from error
-        usual: dict[str, Any] = {}
-        if self.params.made == "local":
-            usual = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "memory_limit": 0}
-            usual["dashboard_address"] = "127.0.0.1:0"  # else all interfaces; any free port: the usual one may be taken
+        defaults: dict[str, Any] = {}
+        if self.params.cluster_kind == "local":
+            defaults = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "memory_limit": 0}
+            defaults["dashboard_address"] = "127.0.0.1:0"  # not all interfaces, and any free port
         try:
-            with hidden_main():
-                cluster = make(**{**usual, **self.params.options})
-            if self.params.made in ("slurm", "pbs"):
+            with hide_main():
+                cluster = make(**{**defaults, **self.params.options})
+            if self.params.cluster_kind in ("slurm", "pbs"):
                 cluster.scale(jobs=workers)
         except (OSError, RuntimeError, TypeError, ValueError, ImportError) as error:
             cause: BaseException = error
             while cause.__cause__ is not None:
                 cause = cause.__cause__
             reason = f"{type(cause).__name__}: {cause}"
-            raise CodecbenchError(f"cannot make the {self.params.made} cluster with {name}: {reason}") from error
+            raise CodecbenchError(
+                f"cannot make the {self.params.cluster_kind} cluster with {name}: {reason}"
+            ) from error
         return cluster
 
     def _fill(self) -> None:
-        """Hand waiting tasks to the cluster, in order, as far as exclusive tasks allow."""
+        """Submit waiting tasks to the cluster, in order, as far as exclusive tasks allow."""
         while self._waiting:
             if self._running and (self._alone or self._waiting[0].exclusive):
                 return
@@ -200,48 +202,49 @@ class DaskExecutor(Executor[DaskParams]):
         where = {"workers": [first], "allow_other_workers": True} if first else {}
         key = f"codecbench-{task.id}-{next(self._numbers)}"
         future = self._client.submit(perform_isolated, content, key=key, pure=False, **where)
-        self._running[task.id] = _Sent(task, future, content, attempt)
+        self._running[task.id] = _Submission(task, future, content, attempt)
         future.add_done_callback(lambda done: None if self._stopping else self._done.put((task.id, done)))
 
-    def _look_after_workers(self) -> None:
-        """Start workers of our own cluster again that died for good; raise CodecbenchError where none comes back.
+    def _check_workers(self) -> None:
+        """Restart dead workers of our own cluster; raise CodecbenchError if there is none for too long.
 
-        A dask nanny does so itself, unless its worker is killed while it starts.
+        A dask nanny restarts its worker itself, unless the worker is killed while it starts.
         """
         now = time.monotonic()
-        if now - self._looked < _LOOK_EVERY_S:
+        if now - self._checked_at < _LOOK_EVERY_S:
             return
-        self._looked = now
+        self._checked_at = now
         present = len(self._client.nthreads())
         if present:
             self._last_seen = now
         elif now - self._last_seen > self.params.start_timeout_s:
-            place = self.params.address or f"the {self.params.made} cluster"
+            place = self.params.address or f"the {self.params.cluster_kind} cluster"
             message = f"no dask worker at {place} for {self.params.start_timeout_s:g} s"
             raise CodecbenchError(f"{message}; what is finished is kept: fix this and run again")
-        if self._cluster is not None and present < self._wanted:
-            self._cluster.scale(self._wanted)
+        if self._cluster is not None and present < self._worker_count:
+            self._cluster.scale(self._worker_count)
 
     def _timing_worker(self) -> str | None:
-        """The worker for exclusive tasks: always the first by name; None while there is none."""
+        """The worker for exclusive tasks: always the first by name; None if there is no worker."""
         workers = self._client.scheduler_info(n_workers=-1)["workers"]
         return min(workers, key=lambda address: (str(workers[address]["name"]), address), default=None)
 
 
 @dataclass(frozen=True)
-class _Sent:
-    """A task on the cluster; `content` is held because the cluster drops data that nobody holds."""
+class _Submission:
+    """A task on the cluster."""
 
     task: Task
     future: Any
     content: Any
+    """The pickled task; the reference keeps the cluster from dropping it."""
     attempt: int
 
 
 def _outcome(task_id: str, future: Any) -> Finished | None:
-    """What a finished future means: its own Finished, the death of its workers, or None if it was lost."""
+    """The result of a finished future: its value, the death of its workers, or None if it was lost."""
     if future.status == "finished":
-        with suppress(OSError):  # the worker may die between having the result and giving it
+        with suppress(OSError):  # the worker may die before it transfers the result
             return future.result()  # type: ignore[no-any-return]
     if future.status != "error":
         return None
@@ -253,7 +256,7 @@ def _outcome(task_id: str, future: Any) -> Finished | None:
 
 
 def _close(connection: Any) -> None:
-    """Close a client or a cluster; on a busy machine that can take longer than a run should wait for it."""
+    """Close a client or a cluster; on a busy machine that can take longer than a run should wait."""
     try:
         connection.close(timeout=_CLOSE_S)
     except (OSError, RuntimeError) as error:
@@ -261,5 +264,5 @@ def _close(connection: Any) -> None:
 
 
 def _allow_failures(dask_scheduler: Any, count: int) -> None:
-    """Run on the scheduler: how many workers may die of a task before it is given up."""
+    """Set, on the scheduler, how many workers may die of a task before it is given up."""
     dask_scheduler.allowed_failures = count

@@ -1,8 +1,8 @@
-"""Imported by the fork server alone: when it ends, its socket goes with it, and the folder of that if it was the last.
+"""Removes the fork server's socket when the server ends; only the server imports this module.
 
-The program removes that folder itself unless it is killed; the server ends either way. Its forks leave by `os._exit`,
-which calls nothing that is registered here. Processes that the program spawns, as workers of dask are, put the sockets
-of their own servers into the same folder, so that each server may remove its own alone.
+The program removes the folder of the socket itself, unless it is killed; the server ends either way. Forks of the
+server exit with `os._exit`, which skips what is registered here. Processes that the program spawns, such as workers of
+dask, put the sockets of their own servers into the same folder, so each server removes only its own.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any, Final
 
 _PREFIX: Final = "pymp-"
-"""Of the folders that multiprocessing makes for sockets."""
+"""Prefix of the folders that multiprocessing makes for sockets."""
 
 
 def remove_socket() -> None:
-    """Remove this server's socket, and the folder where it was the last thing in it."""
+    """Remove this server's socket, and its folder if that is then empty."""
     server: Any = getattr(multiprocessing.forkserver, "_forkserver", None)
     with suppress(AttributeError, TypeError, OSError):
         address = Path(server._forkserver_address)

@@ -1,9 +1,9 @@
-"""What happens inside a worker process: how it is prepared, and how one task is kept from harming the next.
+"""Preparation of a worker process, the limits of its tasks, and its files.
 
-The memory cap is RLIMIT_DATA, which Linux counts over all private writable mappings: an allocation beyond it
-fails in Python as MemoryError and in C as a null pointer, at once. RLIMIT_AS would also count the gigabytes
-that numerical libraries reserve and never touch. What the limit does not see (shared memory, forked
-children) is watched from outside, see `pool`.
+The memory cap is RLIMIT_DATA, which Linux counts over all private writable mappings: an allocation beyond it fails at
+once, in Python as MemoryError and in C as a null pointer. RLIMIT_AS would also count the gigabytes that numerical
+libraries reserve and never touch. Memory that the limit does not count (shared memory, forked children) is watched from
+outside, see `pool`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from typing import Any, Final
 import psutil
 
 from codecbench.core.contracts.executor import Task
-from codecbench.core.contracts.held_folder import left_running
-from codecbench.plugins.executors.fork_server import Surroundings
+from codecbench.core.contracts.held_folder import HeldFolder, left_running
+from codecbench.plugins.executors.fork_server import ProcessEnvironment
 from codecbench.plugins.executors.process_tree import kill_tree, private_mb, tree_mb
 
 RETIRED: Final = 86
@@ -46,45 +46,52 @@ SINGLE_THREADED: Final = dict.fromkeys(
     ),
     "1",
 )
-"""Set before a worker starts, because these libraries read them when they load."""
+"""Environment variables that are set before a worker starts, because libraries read them when they load."""
 
+_FOLDER_PREFIX: Final = "codecbench-workers-"
+_ROOM_BYTES: Final = 1 << 16
+"""Free space that a folder of workers needs on its disk."""
 _PR_SET_PDEATHSIG: Final = 1
 _PR_SET_CHILD_SUBREAPER: Final = 36
 
 
 @dataclass(frozen=True)
 class WorkerFiles:
-    """Where a worker says who it is, where whatever it prints goes, and where its temporary files are."""
+    """The files of a worker."""
 
     identity: Path
+    """Its process id and memory in use."""
     output: Path
+    """Everything that it prints."""
     scratch: Path
+    """Folder of its temporary files."""
 
     @property
-    def begun(self) -> Path:
-        """Where the worker says which task it has begun, see `begin`."""
+    def task_start(self) -> Path:
+        """The file in which it records the task that it has started, see `record_start`."""
         return self.scratch / ".begun"
 
 
 @dataclass
 class _State:
     baseline_mb: float = 0.0
-    begun: Path | None = None
+    """Memory in use after preparation."""
+    task_start: Path | None = None
 
 
 _state = _State()
 
 
-def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: Surroundings) -> None:
-    """Make this process a worker: own process group, output, working folder; gone when the parent is gone.
+def enter_worker(files: WorkerFiles, prepare: Callable[[], None], environment: ProcessEnvironment) -> None:
+    """Make this process a worker: with its own process group, output and working folder; it ends with its parent.
 
     Calls `prepare` and then writes the worker's process id and memory in use to `files.identity`.
     """
     os.setpgid(0, 0)
-    surroundings.enter()
+    environment.apply()
     _redirect_output(files.output)
     files.scratch.mkdir(exist_ok=True)
-    _state.begun = files.begun
+    _state.task_start = files.task_start
     for name in {"CODECBENCH_CACHE", "CODECBENCH_KERNELS"} & os.environ.keys():
         os.environ[name] = os.path.abspath(os.path.expanduser(os.environ[name]))
     os.chdir(files.scratch)
@@ -101,15 +108,15 @@ def enter_worker(files: WorkerFiles, prepare: Callable[[], None], surroundings: 
 
 
 def perform(task: Task) -> Any:
-    """Call the task's function under its limits and return its value; whatever it raises is passed on.
+    """Call the task's function under its limits and return its value; exceptions are passed on.
 
-    A worker in which earlier tasks left more than half of this one's cap in use exits with RETIRED instead, and the
-    pool gives the task to a fresh one.
+    If earlier tasks left more than half of this one's cap in use, the worker exits with RETIRED instead, and the pool
+    gives the task to a new worker.
     """
     if _is_crowded(task.memory_mb):
         os._exit(RETIRED)
-    if _state.begun is not None:
-        begin(_state.begun, task)
+    if _state.task_start is not None:
+        record_start(_state.task_start, task)
     os.ftruncate(1, 0)
     if task.timeout_s is not None:
         faulthandler.dump_traceback_later(task.timeout_s, file=sys.stderr)
@@ -121,8 +128,8 @@ def perform(task: Task) -> Any:
         return task.function(task.argument)
     finally:
         if os.getpid() != process:
-            os._exit(0)  # the task forked and came back twice
-        with suppress(ValueError):  # the task lowered the limit for good; restoring then fails too
+            os._exit(0)  # the task forked and returned twice
+        with suppress(ValueError):  # the task lowered the limit permanently; restoring it fails too
             resource.setrlimit(resource.RLIMIT_DATA, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
         os.sched_setaffinity(0, cores)
         faulthandler.cancel_dump_traceback_later()
@@ -130,23 +137,23 @@ def perform(task: Task) -> Any:
 
 
 def _is_crowded(memory_mb: int | None) -> bool:
-    """Whether earlier tasks, such as compiling kernels, left so much that a task with this cap would suffer.
+    """Whether earlier tasks, such as compiling kernels, left more than half of a task's cap in use.
 
-    In this process, or in those that they left running.
+    Counts this process and those that they left running.
     """
     return memory_mb is not None and tree_mb(os.getpid()) > _state.baseline_mb + memory_mb / 2
 
 
-def begin(file: Path, task: Task) -> None:
-    """Say that this process begins the task, so that it is not begun again if the process dies before it was heard."""
+def record_start(file: Path, task: Task) -> None:
+    """Record that this process starts the task, so that the task does not start again if the process dies early."""
     with suppress(OSError):
         file.write_text(f"{os.getpid()} {task.id}")
 
 
-def begun_by(files: WorkerFiles, task: Task) -> int | None:
-    """The process that has begun the task; None where none has."""
+def process_of(files: WorkerFiles, task: Task) -> int | None:
+    """The process that has started the task; None if none has."""
     with suppress(OSError, ValueError):
-        pid, _, id_ = files.begun.read_text().partition(" ")
+        pid, _, id_ = files.task_start.read_text().partition(" ")
         return int(pid) if id_ == task.id else None
     return None
 
@@ -162,15 +169,15 @@ def _redirect_output(path: Path) -> None:
 
 
 def _adopt_orphans() -> None:
-    """Make orphans of this process's descendants its children: a task cannot leave a process by leaving its group."""
+    """Make orphaned descendants children of this process, so that none can escape by leaving the process group."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1)
 
 
 def _die_with_parent() -> None:
-    """End this process and its group when the program ends that wanted it, even while C code holds the interpreter.
+    """End this process and its group with the program that wanted it, even while C code blocks the interpreter.
 
-    The server that forked it ends with that program, and the system kills this process with the server.
+    The server that forked this process ends with the program, and the system kills this process with the server.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
@@ -178,16 +185,16 @@ def _die_with_parent() -> None:
     if process is not None:
         if not process.is_alive():
             os._exit(1)
-        threading.Thread(target=_follow, args=(process,), name="parent watch", daemon=True).start()
+        threading.Thread(target=_end_after, args=(process,), name="parent watch", daemon=True).start()
 
 
-def _follow(parent: Any) -> None:
+def _end_after(parent: Any) -> None:
     parent.join()
     os.killpg(os.getpid(), signal.SIGKILL)
 
 
 def _limit_memory(memory_mb: int | None) -> None:
-    """Let this process grow to `memory_mb` above what it had when it was prepared."""
+    """Limit the memory of this process to `memory_mb` above what it used when it was prepared."""
     if memory_mb is None:
         return
     mapped_kb = 0
@@ -199,12 +206,36 @@ def _limit_memory(memory_mb: int | None) -> None:
 
 
 def _end_children() -> None:
-    """Kill and reap every process that the task left behind, but those that it left for the next one."""
+    """Kill and reap the processes that the task left behind, except those that it left for the next task."""
     with suppress(ChildProcessError):
-        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # raises at once where there are none
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # raises at once if there are none
         while left := [child for child in psutil.Process().children() if child.pid not in left_running]:
             for child in left:
                 kill_tree(child.pid)
                 with suppress(psutil.NoSuchProcess):
                     child.kill()  # one of this process's own group
                 os.waitpid(child.pid, 0)  # its own children are this process's by now
+
+
+class WorkerFolder(HeldFolder):
+    """A new folder for the files of a pool's workers, in `parent` or else the system's folder for temporary files.
+
+    It is held while the pool lives. Folders of pools whose process was killed are removed first. Raises OSError on a
+    full disk.
+    """
+
+    def __init__(self, parent: str | None = None) -> None:
+        super().__init__(_FOLDER_PREFIX, parent)
+        room = self.path / "room"
+        try:  # on a full disk every worker would end before its first task
+            with open(room, "w", encoding="ascii") as file:
+                file.write("\0" * _ROOM_BYTES)
+            room.unlink()
+        except OSError as error:
+            self.remove()
+            error.filename = str(self.path.parent)
+            raise
+
+    def files(self, number: int) -> WorkerFiles:
+        """The files of the worker of this number."""
+        return WorkerFiles(*(self.path / f"{number}.{ending}" for ending in ("json", "out", "tmp")))

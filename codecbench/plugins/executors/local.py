@@ -1,4 +1,4 @@
-"""The local executor: worker processes on this machine, reused, warm, and isolated from each other."""
+"""The local executor: worker processes on this machine, which are reused and isolated from each other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from codecbench.plugins.executors.pool import WorkerPool
 
 
 class LocalExecutor(Executor[NoParams]):
-    """Runs tasks in order in worker processes of this machine.
+    """Runs tasks in order in worker processes on this machine.
 
     An exclusive task waits until every earlier one has ended, and later ones wait for it. Numerical
     libraries in workers use one thread each.
@@ -42,7 +42,7 @@ class LocalExecutor(Executor[NoParams]):
         self._fill()
 
     def next_finished(self, timeout_s: float) -> Finished | None:
-        finished = self._started_pool().next_finished(timeout_s)
+        finished = self._running_pool().next_finished(timeout_s)
         if finished is not None:
             self._fill()
         return finished
@@ -61,7 +61,7 @@ class LocalExecutor(Executor[NoParams]):
 
     def _fill(self) -> None:
         """Start waiting tasks, in order, as far as workers and exclusive tasks allow."""
-        pool = self._started_pool()
+        pool = self._running_pool()
         while self._waiting:
             if pool.running and (self._alone or self._waiting[0].exclusive):
                 return
@@ -69,7 +69,7 @@ class LocalExecutor(Executor[NoParams]):
                 return
             self._alone = self._waiting.popleft().exclusive
 
-    def _started_pool(self) -> WorkerPool:
+    def _running_pool(self) -> WorkerPool:
         if self._pool is None:
             raise CodecbenchError("the local executor is not running; call start first")
         return self._pool

@@ -1,4 +1,4 @@
-"""A worker with all that it started: whether it runs, what memory it takes, its end."""
+"""A process and its descendants: whether it runs, how much memory they use, and how to kill them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import psutil
 
 
 def kill_tree(pid: int) -> None:
-    """Kill a worker, its process group and whatever left the group."""
+    """Kill a worker, its process group, and descendants that left the group."""
     descendants: list[psutil.Process] = []
     with suppress(psutil.NoSuchProcess):
         descendants = psutil.Process(pid).children(recursive=True)
@@ -22,10 +22,10 @@ def kill_tree(pid: int) -> None:
             process.kill()
 
 
-def runs(pid: int) -> bool:
-    """Whether the process still runs. One whose parent died stays a zombie where the first process reaps none.
+def is_running(pid: int) -> bool:
+    """Whether the process still runs. A zombie does not.
 
-    That is so in a container whose command is its first process.
+    A process whose parent died stays a zombie in a container whose first process, its command, reaps none.
     """
     try:
         return bool(psutil.Process(pid).status() != psutil.STATUS_ZOMBIE)
@@ -34,12 +34,12 @@ def runs(pid: int) -> bool:
 
 
 def tree_mb(pid: int) -> float:
-    """Memory of a worker and its descendants; a page that they share is counted once a process."""
+    """Memory of a worker and its descendants in MB; a shared page is counted once for each process."""
     return private_mb(pid) + sum(map(tree_mb, _children(pid)))
 
 
 def _children(pid: int) -> list[int]:
-    """Children of a process; on a system that does not list them, psutil reads all processes, which takes longer."""
+    """Process ids of the children. If the system does not list them, psutil reads all processes, which takes longer."""
     try:
         lists = [(task / "children").read_text(encoding="ascii") for task in Path(f"/proc/{pid}/task").iterdir()]
         return [int(child) for children in lists for child in children.split()]
@@ -50,7 +50,7 @@ def _children(pid: int) -> list[int]:
 
 
 def private_mb(pid: int) -> float:
-    """Anonymous and shared memory of a process in MB, without the pages of files it maps; 0 if it is gone."""
+    """Anonymous and shared memory of a process in MB, without mapped files; 0 if it has ended."""
     total_kb = 0
     with suppress(OSError), open(f"/proc/{pid}/status", encoding="ascii", errors="replace") as status:
         for line in status:

@@ -1,4 +1,4 @@
-"""The links that ship with codecbench, as references: nothing heavy is imported until a cell needs it."""
+"""The links that ship with codecbench, by reference, so that nothing heavy is imported until a cell needs it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _PRESETS = _HERE + "presets:"
 @hookimpl
 def codecbench_links() -> list[PluginSpec]:
     return [
-        PluginSpec("ideal", _HERE + "ideal:Ideal", "everything arrives at once"),
+        PluginSpec("ideal", _HERE + "constant:Ideal", "everything arrives at once"),
         PluginSpec("constant", _HERE + "constant:Constant", "a rate, a delay, jitter, and packets lost independently"),
         PluginSpec("gilbert_elliott", _HERE + "gilbert_elliott:GilbertElliott", "packets lost in bursts: two states"),
         PluginSpec("trace", _HERE + "trace:Trace", "a Mahimahi trace: when 1,500 bytes could go"),

@@ -1,12 +1,28 @@
-"""The link `constant`: a rate, a delay, jitter of a stated distribution, and packets lost independently."""
+"""Links that are the same at all times: `ideal`, and `constant` with a rate, a delay, jitter and independent losses."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from codecbench.core.contracts.link import Channel, Passage
-from codecbench.plugins.links.chance import drawn
-from codecbench.plugins.links.queued import Distribution, RadioLink, RadioParams, Share
+from codecbench.core.contracts.link import Channel, Link, Passage
+from codecbench.core.contracts.params import NoParams
+from codecbench.plugins.links.queued import Flight, RadioLink, RadioParams, Share, random_numbers
+
+
+class Ideal(Link[NoParams]):
+    """Delivers every packet at once and loses none."""
+
+    name = "ideal"
+    version = "1"
+    params_type = NoParams
+
+    def open(self, rng: np.random.Generator) -> Channel:
+        return _IdealChannel()
+
+
+class _IdealChannel(Channel):
+    def carry(self, size_bytes: int, start_s: float) -> Passage:
+        return Passage(start_s, start_s)
 
 
 class ConstantParams(RadioParams):
@@ -16,7 +32,7 @@ class ConstantParams(RadioParams):
 
 
 class Constant(RadioLink[ConstantParams]):
-    """The same at all times."""
+    """Sends at a constant rate and loses packets independently of each other."""
 
     name = "constant"
     version = "1"
@@ -30,24 +46,11 @@ class _ConstantChannel(Channel):
     def __init__(self, params: ConstantParams, rng: np.random.Generator) -> None:
         loss_rng, jitter_rng = rng.spawn(2)
         self._seconds_per_byte = 8e-3 / params.rate_kbps
-        self._loss, self._chances = params.loss, drawn(loss_rng.random)
+        self._loss, self._draws = params.loss, random_numbers(loss_rng.random)
         self._flight = Flight(params.delay_ms, params.jitter_ms, params.jitter, jitter_rng)
 
     def carry(self, size_bytes: int, start_s: float) -> Passage:
         sent_s = start_s + size_bytes * self._seconds_per_byte
-        if self._loss and next(self._chances) < self._loss:
+        if self._loss and next(self._draws) < self._loss:
             return Passage(sent_s, None)
         return Passage(sent_s, sent_s + self._flight.duration_s())
-
-
-class Flight:
-    """How long packets are on their way: a delay and jitter."""
-
-    def __init__(self, delay_ms: float, jitter_ms: float, jitter: Distribution, rng: np.random.Generator) -> None:
-        self._delay_s = 1e-3 * delay_ms
-        self._jitter_s = 1e-3 * jitter_ms if jitter == "exponential" else 2e-3 * jitter_ms
-        self._drawn = drawn(rng.standard_exponential if jitter == "exponential" else rng.random)
-
-    def duration_s(self) -> float:
-        """Of the next packet."""
-        return self._delay_s + self._jitter_s * next(self._drawn) if self._jitter_s else self._delay_s

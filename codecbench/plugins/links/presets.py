@@ -1,4 +1,4 @@
-"""Links that robots use, as settings of the others. docs/link.md says where the numbers come from."""
+"""Links that robots use, as settings of the other links. docs/link.md has the sources of the numbers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class WifiEdgeParams(GilbertElliottParams):
 
 
 class WifiEdge(GilbertElliott):
-    """Wi-Fi where it ends: slow, and lost in bursts."""
+    """Wi-Fi at the edge of its range: slow, and lost in bursts."""
 
     name = "wifi_edge"
     params_type = WifiEdgeParams

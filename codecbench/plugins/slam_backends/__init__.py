@@ -1,4 +1,4 @@
-"""The SLAM backends that ship with codecbench, as references."""
+"""The SLAM backends that ship with codecbench, by reference."""
 
 from __future__ import annotations
 

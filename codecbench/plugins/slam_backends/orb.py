@@ -1,12 +1,12 @@
-"""The `orb` backend: codecbench's own monocular ORB-SLAM, which stands alone in codecbench.slam.
+"""The `orb` backend: codecbench's own monocular ORB-SLAM, which is the independent package codecbench.slam.
 
-This file is the border between the two: `codecbench.slam` knows nothing of the benchmark, so some nouns have a twin.
+This module converts between the two: `codecbench.slam` does not import the benchmark, so some types have a counterpart.
 
-- `Camera` gives its numbers to a `slam.Camera`, which can project and undistort.
-- `Frame` gives its gray image and its time to `System.process`; a `TrackingFrame` is made of them in there.
+- `Camera` becomes a `slam.Camera`, which can project and undistort.
+- `Frame` gives its gray image and its time to `System.process`, which makes a `TrackingFrame` of them.
 - `FeatureFrame` gives its features as `Keypoints` to `System.process_keypoints`.
-- `slam.FrameState` becomes a `TrackedFrame`, with the sequence's frame index in place of the count from 0 and the
-  time that the frame took.
+- `slam.FrameState` becomes a `TrackedFrame`, with the sequence's frame index in place of the count from 0, and the
+  computing time of the frame.
 - `slam.FrameTrajectory` becomes a `Trajectory`, without its frame indices.
 - `slam.ClosedLoop` and `slam.MergedMaps` become `LoopEvent`s, with the sequence's frame indices.
 """
@@ -49,7 +49,7 @@ class OrbParams(Params):
 
 
 class Orb(SlamBackend[OrbParams]):
-    """Equal frames and an equal seed give the same trajectory to the last bit."""
+    """Runs codecbench.slam. Equal frames and an equal seed give the same trajectory to the last bit."""
 
     name = "orb"
     version = "12"
@@ -65,22 +65,22 @@ class Orb(SlamBackend[OrbParams]):
         seed: int,
         keyframe_image: Callable[[int], Image] | None = None,
     ) -> SlamRun:
-        def look(system: slam.System, frame: Frame, clock: _Clock) -> Step:
+        def make_step(system: slam.System, frame: Frame, clock: _Clock) -> Step:
             gray = gray_from_image(frame.image)
-            source = _keyframe_source(keyframe_image, frame.index, clock)
-            return lambda: system.process(gray, frame.timestamp_s, source)
+            keyframe_source = _keyframe_source(keyframe_image, frame.index, clock)
+            return lambda: system.process(gray, frame.timestamp_s, keyframe_source)
 
-        return self._run(frames, camera, seed, look)
+        return self._run(frames, camera, seed, make_step)
 
     def run_features(self, frames: Iterable[FeatureFrame], camera: Camera, *, seed: int) -> SlamRun:
-        def look(system: slam.System, frame: FeatureFrame, _: _Clock) -> Step:
+        def make_step(system: slam.System, frame: FeatureFrame, _: _Clock) -> Step:
             keypoints = self.keypoints(frame.features)
             return lambda: system.process_keypoints(keypoints, frame.timestamp_s)
 
-        return self._run(frames, camera, seed, look)
+        return self._run(frames, camera, seed, make_step)
 
     def keypoints(self, features: Features) -> Keypoints:
-        """Features that were found elsewhere, as they are found here; Unsupported where there is no room for them."""
+        """Features from elsewhere as keypoints. Raises Unsupported if they are more than the parameters allow."""
         params, count, levels = self.params, len(features), int(features.octaves.max(initial=0)) + 1
         if count > params.features or levels > params.levels:
             raise Unsupported(
@@ -90,16 +90,16 @@ class Orb(SlamBackend[OrbParams]):
         return keypoints_of(features)
 
     def _run(
-        self, frames: Iterable[_F], camera: Camera, seed: int, look: Callable[[slam.System, _F, _Clock], Step]
+        self, frames: Iterable[_F], camera: Camera, seed: int, make_step: Callable[[slam.System, _F, _Clock], Step]
     ) -> SlamRun:
-        """look: what is to be timed of a frame."""
+        """make_step: prepares a frame and returns the call to time."""
         system = slam.System(_camera(camera), self._options(), seed)
         clock = _Clock()
         indices: list[int] = []
         elapsed_ms: list[float] = []
         with event.install_listener("numba:compile", clock.compiling):
             for frame in frames:
-                step = look(system, frame, clock)
+                step = make_step(system, frame, clock)
                 started = clock.ms()
                 step()
                 elapsed_ms.append(clock.ms() - started)
@@ -108,12 +108,12 @@ class Orb(SlamBackend[OrbParams]):
                 raise SlamError("orb got no frame")
             started = clock.ms()
             result = system.finish()
-            # The last frame bears what finishing takes, so that the mean over frames is the cost of the run.
+            # The time to finish is added to the last frame, so that the mean over frames is the cost of the run.
             elapsed_ms[-1] += clock.ms() - started
         return _slam_run(result, np.array(indices, dtype=np.int64), elapsed_ms)
 
     def map_of(self, frames: Iterable[Frame], camera: Camera, *, seed: int) -> BuiltMap | None:
-        """The map that `run` makes of these frames, in which other frames can be located; None where it makes none."""
+        """The map that `run` makes of these frames, to locate other frames in; None if it makes none."""
         images = ((gray_from_image(frame.image), frame.timestamp_s) for frame in frames)
         return build_map(images, _camera(camera), self._options(), seed)
 
@@ -133,7 +133,7 @@ def _camera(camera: Camera) -> slam.Camera:
 
 
 class _Clock:
-    """Time that SLAM takes: it stands still while kernels are compiled, once a machine, and images are fetched."""
+    """The computing time of SLAM, without compilation of kernels, once per machine, and without fetching images."""
 
     def __init__(self) -> None:
         self.compiling = event.TimingListener()  # type: ignore[no-untyped-call]
@@ -145,22 +145,22 @@ class _Clock:
 
     def fetch(self, image: Callable[[int], Image], index: int) -> Image:
         started = self.ms()
-        fetched = gray_from_image(image(index))
+        gray = gray_from_image(image(index))
         self._fetching_ms += self.ms() - started
-        return fetched
+        return gray
 
 
 def _keyframe_source(
     keyframe_image: Callable[[int], Image] | None, index: int, clock: _Clock
 ) -> Callable[[Image], Image] | None:
-    """What mapping sees in place of the tracked picture should this frame become a keyframe."""
+    """A source of the image that mapping sees, in place of the tracked one, if this frame becomes a keyframe."""
     if keyframe_image is None:
         return None
     return lambda _: clock.fetch(keyframe_image, index)
 
 
 def _slam_run(result: slam.Result, indices: NDArray[np.int64], elapsed_ms: list[float]) -> SlamRun:
-    """The system counts frames from 0; here they have the sequence's indices again."""
+    """Convert a result, with the sequence's frame indices in place of the system's count from 0."""
     frames = tuple(
         TrackedFrame(
             index=int(index),

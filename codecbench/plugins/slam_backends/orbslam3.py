@@ -1,8 +1,8 @@
 """The `orbslam3` backend: ORB-SLAM3 through the package pyorbslam3, in a child process.
 
 Campos, Elvira, Rodriguez, Montiel, Tardos, "ORB-SLAM3", IEEE T-RO 37(6), 2021, doi:10.1109/TRO.2021.3075644. It is
-threaded and never gives the same trajectory twice, so it is paced: no frame is handed over sooner
-after the one before than it was taken after it.
+threaded and never gives the same trajectory twice, so it is paced: the time between two frames is at least that between
+their captures.
 """
 
 from __future__ import annotations
@@ -22,16 +22,15 @@ from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.sequence import Camera, Frame
 from codecbench.core.contracts.slam import SlamBackend, SlamRun, TrackedFrame
-from codecbench.plugins.slam_backends.conversation import Conversation
-from codecbench.plugins.slam_backends.orbslam3_log import PrintedEvents
-from codecbench.plugins.slam_backends.orbslam3_result import TrackedPose, run_from_files
+from codecbench.plugins.slam_backends.child_process import ChildProcess
+from codecbench.plugins.slam_backends.orbslam3_output import PrintedEvents, TrackedPose, run_from_files
 from codecbench.slam.places.vocabulary import Vocabulary
 
 SYSTEM_LIBRARIES: Final = "libgl1 libegl1 libopengl0 libsm6 libice6 libx11-6 libxext6"
 START_TIMEOUT_S: Final = 300.0
 """Reading the vocabulary takes seconds to a minute."""
 SAVE_TIMEOUT_S: Final = 300.0
-"""Shutting down waits for a global bundle adjustment that is under way."""
+"""Shutting down waits for a running global bundle adjustment."""
 
 
 class OrbSlam3Params(Params):
@@ -50,10 +49,10 @@ class OrbSlam3Params(Params):
 
 
 class OrbSlam3(SlamBackend[OrbSlam3Params]):
-    """ORB-SLAM3, monocular, paced at the times of the frames, with codecbench's own vocabulary.
+    """Runs ORB-SLAM3, monocular, paced at the times of the frames, with codecbench's own vocabulary.
 
-    It gives neither its map points nor what a loop was closed onto: `points_world` is empty, and a LoopEvent's
-    matched frame is -1. The seed has no effect.
+    It does not report map points nor the matched frame of a loop: `points_world` is empty, and a LoopEvent's matched
+    frame is -1. The seed has no effect.
     """
 
     name = "orbslam3"
@@ -87,7 +86,7 @@ class OrbSlam3(SlamBackend[OrbSlam3Params]):
         command = [sys.executable, str(Path(__file__).with_name("orbslam3_child.py")), str(log)]
         states: list[TrackedFrame] = []
         poses: list[TrackedPose] = []
-        with Conversation(command, log, "ORB-SLAM3") as child:
+        with ChildProcess(command, log, "ORB-SLAM3") as child:
             events = PrintedEvents(log)
             first, frame_rate_hz = _peek(frames)
             settings.write_text(settings_text(camera, self.params, frame_rate_hz))
@@ -97,29 +96,29 @@ class OrbSlam3(SlamBackend[OrbSlam3Params]):
                 states.append(state)
                 poses.extend([] if pose is None else [pose])
                 events.read(frame.index)
-            child.tell({"save": str(folder)})
-            child.listen(SAVE_TIMEOUT_S, "saving trajectories")
+            child.send({"save": str(folder)})
+            child.receive(SAVE_TIMEOUT_S, "saving trajectories")
             events.read(states[-1].index)
         return run_from_files(folder, states, poses, events)
 
-    def _start(self, child: Conversation, vocabulary: Path, settings: Path) -> None:
-        child.tell({"vocabulary": str(vocabulary), "settings": str(settings), "slowdown": self.params.slowdown})
-        answer = child.listen(START_TIMEOUT_S, "starting")
+    def _start(self, child: ChildProcess, vocabulary: Path, settings: Path) -> None:
+        child.send({"vocabulary": str(vocabulary), "settings": str(settings), "slowdown": self.params.slowdown})
+        answer = child.receive(START_TIMEOUT_S, "starting")
         if (why := answer.get("unavailable")) is not None:
             raise Unsupported(f"pyorbslam3 does not import ({why}); on Debian run: apt-get install {SYSTEM_LIBRARIES}")
 
-    def _track(self, child: Conversation, frame: Frame, camera: Camera) -> tuple[TrackedFrame, TrackedPose | None]:
+    def _track(self, child: ChildProcess, frame: Frame, camera: Camera) -> tuple[TrackedFrame, TrackedPose | None]:
         gray = gray_from_image(frame.image)
         if gray.shape != (camera.height, camera.width):
             reason = f"the frame is {gray.shape[1]}x{gray.shape[0]}, the camera {camera.width}x{camera.height}"
             return TrackedFrame(frame.index, frame.timestamp_s, "refused", reason=reason), None
-        child.tell({"timestamp_s": frame.timestamp_s, "shape": gray.shape}, gray.tobytes())
-        answer = child.listen(self.params.answer_timeout_s, f"frame {frame.index}")
+        child.send({"timestamp_s": frame.timestamp_s, "shape": gray.shape}, gray.tobytes())
+        answer = child.receive(self.params.answer_timeout_s, f"frame {frame.index}")
         return read_answer(answer, frame)
 
 
 def _peek(frames: Iterator[Frame]) -> tuple[list[Frame], float]:
-    """The first two frames and the rate at which they come. Raises SlamError where there are fewer than two."""
+    """The first two frames and their frame rate. Raises SlamError if there are fewer than two."""
     first = list(islice(frames, 2))
     if len(first) < 2:
         raise SlamError(f"orbslam3 got {len(first)} frame(s); it needs two to know their rate")
@@ -127,7 +126,7 @@ def _peek(frames: Iterator[Frame]) -> tuple[list[Frame], float]:
 
 
 def read_answer(answer: dict[str, Any], frame: Frame) -> tuple[TrackedFrame, TrackedPose | None]:
-    """What the child said of a frame."""
+    """The state of a frame, and its pose if it is tracked, from the child's answer."""
     elapsed_ms = float(answer["elapsed_ms"])
     if answer["tracked"] and answer["state"].endswith(("OK", "OK_KLT")):
         state = TrackedFrame(frame.index, frame.timestamp_s, "tracked", answer["inliers"], elapsed_ms=elapsed_ms)
@@ -186,4 +185,4 @@ _VIEWER: Final[dict[str, float]] = {
     "ViewpointZ": -1.8,
     "ViewpointF": 500.0,
 }
-"""Nothing is shown, but the file must say how it would be."""
+"""Settings of the viewer, which the file must have although nothing is shown."""

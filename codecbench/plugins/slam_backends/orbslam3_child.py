@@ -1,7 +1,8 @@
-"""The child process in which ORB-SLAM3 runs: it may crash, hang or print without taking anything down.
+"""The child process of ORB-SLAM3, whose crashes, hangs and output affect nothing else.
 
-Run as a script, with nothing of codecbench imported. Requests come on standard input, answers go to what was standard
-output, each a line of JSON; a frame's line is followed by its pixels. What ORB-SLAM3 prints goes to the log file.
+It runs as a script and imports nothing of codecbench. Requests come on standard input, answers go to the original
+standard output, each as a line of JSON; a frame's line is followed by its pixels. ORB-SLAM3's output goes to the log
+file.
 """
 
 from __future__ import annotations
@@ -30,26 +31,26 @@ def main(log_path: str) -> None:
         libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL)
 
     def answer(**values: Any) -> None:
-        libc.fflush(None)  # so that the log holds all that was printed up to this answer
+        libc.fflush(None)  # so that the log has all output before this answer
         answers.write(json.dumps(values) + "\n")
 
     start = json.loads(requests.readline())
     try:
-        import pyorbslam3
+        import pyorbslam3  # GPL: imported only in this process
     except ImportError as error:
         answer(unavailable=str(error))
         os._exit(0)
     slam = pyorbslam3.Slam(start["vocabulary"], start["settings"], pyorbslam3.Sensor.MONOCULAR, use_viewer=False)
     answer(ready=True)
     _track(slam, requests, start["slowdown"], answer)
-    # Tearing down the foreign library's threads in order gains nothing and sometimes crashes.
+    # An orderly end of the library's threads gains nothing and sometimes crashes.
     os._exit(0)
 
 
 def _track(slam: Any, requests: BinaryIO, slowdown: float, answer: Any) -> None:
-    """Track frames until the request to finish, none sooner after the one before than it was taken after it, slowed.
+    """Track frames until the request to finish, at least `slowdown` times the capture interval apart.
 
-    A frame that takes too long delays all later ones: catching up would take away the time that mapping needs.
+    A frame that takes too long delays all later ones, because catching up would leave mapping too little time.
     """
     handed_over: float | None = None
     last_s = 0.0

@@ -17,7 +17,7 @@ from codecbench.core.analysis.collect import add_doubts
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.report.tables import setting_notes
-from codecbench.plugins.evaluators.quality.evaluator import Quality
+from codecbench.plugins.evaluators.quality import Quality
 
 HOARDS = """
 import hashlib

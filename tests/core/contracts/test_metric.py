@@ -43,11 +43,11 @@ def test_a_metric_needs_no_more_than_its_first_four_fields() -> None:
     ("field", "value", "message"),
     [
         ("better", "up", "metric 'x': better is 'up'; it is one of higher, lower, neither"),
-        ("role", "speed", "metric 'x': role is 'speed'; it is one of rate, quality, task, time, operations"),
-        ("scale", "root", "metric 'x': scale is 'root'; it is one of linear, log"),
-        ("aggregates", ("mean", "mode"), "metric 'x': aggregate is 'mode'; it is one of mean, std, median"),
-        ("aggregates", "mean", "metric 'x': aggregates is 'mean'; it is a tuple of names"),
-        ("aggregates", (), r"metric 'x': aggregates is \(\); it is a tuple of names"),
+        ("role", "speed", "role is 'speed'; "),
+        ("scale", "root", "'root'; .* linear, log$"),
+        ("aggregates", ("mean", "mode"), "'mode'; .* mean, std"),
+        ("aggregates", "mean", "aggregates is 'mean'; "),
+        ("aggregates", (), r"aggregates is \(\); "),
     ],
 )
 def test_a_wrong_value_is_refused_where_it_stands(field: str, value: object, message: str) -> None:
@@ -62,11 +62,11 @@ def test_the_aggregates_that_may_be_named_are_those_that_are_computed() -> None:
 @pytest.mark.parametrize(
     ("kind", "metrics", "message"),
     [
-        ("pie", ("x",), "view 'Seen': kind is 'pie'; it is one of curve, bars, map"),
-        ("curve", (), r"view 'Seen': metrics is \(\); a curve names 1 to 2"),
-        ("curve", ("x", "y", "z"), "a curve names 1 to 2"),
-        ("map", ("x",), "a map names 0"),
-        ("bars", "x", "view 'Seen': metrics is 'x'; a bars names 1 to 100"),
+        ("pie", ("x",), "kind is 'pie'"),
+        ("curve", (), r"'Seen': .*\(\); .* 1 to 2$"),
+        ("curve", ("x", "y", "z"), "'z'.* 1 to 2$"),
+        ("map", ("x",), "map names 0$"),
+        ("bars", "x", "metrics is 'x'; .* 1 to 100$"),
     ],
 )
 def test_a_wrong_view_is_refused(kind: str, metrics: tuple[str, ...], message: str) -> None:
@@ -75,9 +75,9 @@ def test_a_wrong_view_is_refused(kind: str, metrics: tuple[str, ...], message: s
 
 
 def test_a_wrong_line_is_refused() -> None:
-    with pytest.raises(PluginError, match="stroke is 'red'; it is one of truth, before, after"):
+    with pytest.raises(PluginError, match=r"'red'; .* before, after$"):
         Line("path", "red", np.zeros((2, 2)))  # type: ignore[arg-type]
-    with pytest.raises(PluginError, match=r"points have shape \(2, 3\); they are \(N, 2\)"):
+    with pytest.raises(PluginError, match=r"points .*\(2, 3\); .*\(N, 2\)"):
         Line("path", "truth", np.zeros((2, 3)))
     assert Drawing((Line("path", "truth", np.zeros((2, 2))),), "").holds is None
 
@@ -85,8 +85,8 @@ def test_a_wrong_line_is_refused() -> None:
 @pytest.mark.parametrize(
     ("metrics", "views", "message"),
     [
-        (("x",), (View("curve", "Seen", ("y",)),), "view 'Seen' names 'y'; declared are x"),
-        (("x", "x"), (), "metrics declares x twice"),
+        (("x",), (View("curve", "Seen", ("y",)),), "'Seen' names 'y'; .* x$"),
+        (("x", "x"), (), "declares x twice"),
     ],
 )
 def test_an_evaluator_that_names_what_it_does_not_declare_is_refused(
@@ -200,8 +200,8 @@ def test_a_timeline_has_a_place_and_an_error_for_each_frame(values: tuple[np.nda
 
 @pytest.mark.parametrize(
     ("tone", "holds", "words"),
-    [("bad", np.zeros(3, bool), "is of 3 frames; the timeline has 2"), ("poor", np.zeros(2, bool), "one of good, fair"),
-     ("bad", np.zeros(2), "it is .N,. of bool")],
+    [("bad", np.zeros(3, bool), "'gone' .*3 frames; .* 2$"), ("poor", np.zeros(2, bool), "'poor'; .* good, fair"),
+     ("bad", np.zeros(2), r"float64; .*\(N,\) of bool")],
 )  # fmt: skip
 def test_a_lane_says_of_each_frame_whether_it_holds(tone: Any, holds: np.ndarray, words: str) -> None:
     with pytest.raises(PluginError, match=words):
@@ -215,7 +215,7 @@ def test_marks_have_a_verdict_for_each_place() -> None:
 
 @pytest.mark.parametrize("axes", [("time",), "time", ("a", "b", "c")])
 def test_a_drawing_names_both_axes_or_none(axes: object) -> None:
-    with pytest.raises(PluginError, match="names both axes, or none"):
+    with pytest.raises(PluginError, match="names both axes"):
         Drawing((), "it", None, axes)  # type: ignore[arg-type]
 
 
@@ -242,5 +242,5 @@ def test_former_names_still_work() -> None:
 
 
 def test_a_former_name_says_the_current_one() -> None:
-    with pytest.warns(DeprecationWarning, match="Metric.need is now called quantity"):
+    with pytest.warns(DeprecationWarning, match=r"^Metric\.need .* quantity$"):
         Metric("age_s", "s", "lower", "", need="delay")

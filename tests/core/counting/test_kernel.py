@@ -71,7 +71,10 @@ def uncountable(body: str, folder: Path) -> str:
     ("body", "message"),
     [
         ("return [x for x in b]", "uses '[x for x in b]'"),
-        ("return sum(b)", "calls 'sum'"),
+        (
+            "return sum(b)",
+            "calls 'sum', which cannot be counted; call a @kernel, or a function listed",
+        ),
         ("return np.sum(b)", "calls 'np.sum'"),
         ("return b.sum()", "calls 'b.sum'"),
         ("return plain(b[0])", "calls 'plain'"),
@@ -93,19 +96,19 @@ def uncountable(body: str, folder: Path) -> str:
         ("return abs(*b)", "passes * or ** arguments"),
         ("return np.zeros(3)[1]", "indexes 'np.zeros(3)'"),
         ("return min(np.zeros(3)[0], 1)", "indexes"),
-        ("return len(np.zeros(3))", "give the new array a name first"),
-        ("counting__adds = 1\nreturn counting__adds", "names starting with counting__"),
+        ("return len(np.zeros(3))", "uses 'np.zeros' inside a statement"),
+        ("counting__adds = 1\nreturn counting__adds", "uses the name counting__adds"),
         ("a[:] += 1", "assigns to 'a[:]'"),
         ("return a * 2", "arithmetic on whole arrays"),
         ("c = -b\nreturn c", "arithmetic on whole arrays"),
         ("c = b < 2\nreturn c", "arithmetic on whole arrays"),
         ("return np.floor(b)", "whole arrays"),
-        ("return a[1]", "takes a row with one index too few"),
-        ("a[1] = 0", "stores a whole array or row"),
-        ("a[1, :] = b", "stores a whole array or row"),
-        ("return b[b]", "takes a row with one index too few"),
-        ("return PAIR[b[0]]", "indexes what is no array"),
-        ("c = (b[0], b[1])\nreturn c[1]", "indexes what is no array"),
+        ("return a[1]", "one index too few"),
+        ("a[1] = 0", "stores a whole array"),
+        ("a[1, :] = b", "stores a whole array"),
+        ("return b[b]", "one index too few"),
+        ("return PAIR[b[0]]", "is no array"),
+        ("c = (b[0], b[1])\nreturn c[1]", "is no array"),
     ],
 )
 def test_what_cannot_be_counted_is_refused_with_its_line(
@@ -193,6 +196,6 @@ def test_a_file_edited_after_its_import_is_noticed(tmp_path: Path, monkeypatch: 
     (tmp_path / "edited.py").write_text(CALLEE)
     inner: Kernel = __import__("edited").inner
     (tmp_path / "edited.py").write_text(CALLEE.replace("x + 1", "x + 2"))
-    with pytest.raises(SourceError, match=r"edited\.py:\d+: kernel inner is not what was imported"):
+    with pytest.raises(SourceError, match=r"edited\.py:\d+: .* inner"):
         inner.counting_build(new_counters(), 1)
     assert inner(1) == 2

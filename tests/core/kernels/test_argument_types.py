@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import namedtuple
 
 import numpy as np
@@ -57,10 +58,10 @@ def test_read_only_arrays_and_omitted_arguments_are_types_of_their_own() -> None
     "text", ["float65", "float64[::2]", "open('x')", "float64[", "named('os:path')", "int64 + int64"]
 )
 def test_what_names_no_type_is_refused(text: str) -> None:
-    with pytest.raises(ArgumentTypeError, match="is not a list of argument types"):
+    with pytest.raises(ArgumentTypeError, match=f"^{re.escape(repr(text))} "):
         types_from_text(text)
 
 
 def test_what_has_no_text_is_refused() -> None:
-    with pytest.raises(ArgumentTypeError, match="no text for the argument type"):
+    with pytest.raises(ArgumentTypeError, match="unicode_type"):
         text_from_types((types.unicode_type,))

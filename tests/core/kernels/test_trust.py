@@ -42,19 +42,19 @@ def test_what_this_user_or_root_alone_may_write_is_trusted(mode: int, monkeypatc
     monkeypatch.setattr(folders, "current_user", lambda: 1000)
     assert objection(facts(1000, mode)) is None
     assert objection(facts(0, mode)) is None
-    assert objection(facts(54321, mode)) == "it belongs to user 54321"
+    assert "user 54321" in str(objection(facts(54321, mode)))
 
 
 @pytest.mark.parametrize(
     ("mode", "spelt"), [(0o100664, "-rw-rw-r--"), (0o100602, "-rw-----w-"), (0o41777, "drwxrwxrwt")]
 )
 def test_what_others_may_write_is_not(mode: int, spelt: str) -> None:
-    assert objection(facts(0, mode)) == f"others than its owner may write to it ({spelt})"
+    assert f"({spelt})" in str(objection(facts(0, mode)))
 
 
 def test_root_does_not_run_what_a_user_wrote(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(folders, "current_user", lambda: 0)
-    assert objection(facts(54321, 0o100644)) == "it belongs to user 54321"
+    assert "user 54321" in str(objection(facts(54321, 0o100644)))
 
 
 def test_a_folder_that_others_may_write_is_left_for_the_users_own(

@@ -96,6 +96,12 @@ class Place:
         return done.stdout + done.stderr
 
 
+def numbers_of(out: str) -> tuple[int, ...]:
+    """How many kernels `warm-up` had to compile, and how many of them failed, from its last line."""
+    compiled, failed = out.splitlines()[-1].split(", ")[:2]
+    return int(compiled.split()[0]), int(failed.split()[0])
+
+
 def test_work_waits_for_its_own_kernels_and_long_work_for_none() -> None:
     first, second, late = (
         Entry(f"module:{name}", "fast", "int64", 1.0, stage) for name, stage in (("a", 0), ("b", 0), ("late", 1))
@@ -115,7 +121,8 @@ def test_work_waits_for_its_own_kernels_and_long_work_for_none() -> None:
     last = warm_up.take()
     assert last is not None
     assert last.argument[0] == late
-    assert (len(warm_up), warm_up.failed, warm_up.progress) == (1, 1, "compiling kernels, once: 2 of 3")
+    assert (len(warm_up), warm_up.failed) == (1, 1)
+    assert "2 of 3" in warm_up.progress
 
 
 @pytest.fixture(scope="module")
@@ -149,19 +156,19 @@ def test_a_matrix_gets_the_builds_that_it_needs_once(place: Place) -> None:
     assert "1 kernels to compile, 0 failed" in out
     assert place.kept == ["halving.kernels.halve.fast", "halving.kernels.halved.fast"]
     out = place.call("warm-up", "counting.yaml")
-    assert "1 kernels to compile, 0 failed" in out, "what is there is not compiled again"
+    assert numbers_of(out) == (1, 0), "what is there is not compiled again"
     assert "halving.kernels.halve.counting" in place.kept
-    assert "0 kernels to compile, 0 failed" in place.call("warm-up", "counting.yaml")
+    assert numbers_of(place.call("warm-up", "counting.yaml")) == (0, 0)
 
 
 @pytest.mark.thorough
 def test_a_folder_of_compiled_kernels_serves_an_empty_cache(place: Place) -> None:
-    assert "1 kernels to compile, 0 failed" in place.call("warm-up", "fast.yaml", "--out", "carried")
+    assert numbers_of(place.call("warm-up", "fast.yaml", "--out", "carried")) == (1, 0)
     (file,) = (place.folder / "carried").iterdir()
     assert file.name.startswith("halving.kernels.halve.fast-"), "what it calls is in it"
     empty = {"CODECBENCH_CACHE": str(place.folder / "empty")}
     carried = {**empty, "CODECBENCH_KERNELS": "carried"}
-    assert "0 kernels to compile" in place.call("warm-up", "fast.yaml", **carried)
+    assert numbers_of(place.call("warm-up", "fast.yaml", **carried)) == (0, 0)
     assert "cells: 1 ok" in place.call("run", "fast.yaml", **carried)
     assert not list((place.folder / "empty" / "kernels").glob("halving.*.bin")), "nothing that was carried is compiled"
     file.chmod(0o664)

@@ -102,7 +102,7 @@ def test_a_range_may_fall_and_may_be_of_fractions() -> None:
 
 @pytest.mark.parametrize(
     ("parameter", "ends", "words"),
-    [("quality", (1, 5), "sized has no parameter 'quality'; it has kilobytes, share"), ("kilobytes", (1, 60), "51")],
+    [("quality", (1, 5), "sized .*'quality'; .* share$"), ("kilobytes", (1, 60), "51")],
 )
 def test_what_the_codec_does_not_take_is_unsupported(parameter: str, ends: tuple[int, int], words: str) -> None:
     with pytest.raises(Unsupported, match=words):
@@ -111,10 +111,10 @@ def test_what_the_codec_does_not_take_is_unsupported(parameter: str, ends: tuple
 
 def test_what_holds_pictures_back_cannot_adapt() -> None:
     held = SimpleNamespace(codec=Delta.create(hold=2), sequence=None)
-    with pytest.raises(Unsupported, match="delta holds pictures back with this setting"):
+    with pytest.raises(Unsupported, match=r"delta .*pictures back"):
         adaptive_encoder(held, Adaptation(parameter="gop", range=(1, 2)))  # type: ignore[arg-type]
     foreign = SimpleNamespace(codec=SimpleNamespace(name="features", carries="features"), sequence=None)
-    with pytest.raises(Unsupported, match="features codes neither single pictures nor a stream"):
+    with pytest.raises(Unsupported, match="features codes neither"):
         adaptive_encoder(foreign, Adaptation(parameter="gop", range=(1, 2)))  # type: ignore[arg-type]
 
 

@@ -188,7 +188,7 @@ def test_a_codec_that_wrongly_says_that_it_holds_nothing_back_is_named(tmp_path:
 
     stream = blank(2)
     stream.codec = type("Given", (Late,), {"params_type": SizedParams})(SizedParams())
-    with pytest.raises(PluginError, match="late says that it is of low delay, and gave 0 packets for picture 0"):
+    with pytest.raises(PluginError, match=r"^late .* 0 packets .*picture 0"):
         delivered(tmp_path, stream, Losing())
 
 

@@ -20,10 +20,9 @@ from codecbench.core.contracts.link import Link
 from codecbench.core.simulation.delivery import Delivery, deliver
 from codecbench.core.simulation.receiver import Ranges
 from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
-from codecbench.plugins.links.constant import Constant
+from codecbench.plugins.links.constant import Constant, Ideal
 from codecbench.plugins.links.gilbert_elliott import GilbertElliott
-from codecbench.plugins.links.ideal import Ideal
-from codecbench.plugins.links.trace import Trace, embedded
+from codecbench.plugins.links.trace import Trace, embedded_trace
 
 HEADERS = {"mtu": 1000, "header_bytes": 0}
 
@@ -72,7 +71,7 @@ def test_measured_times_are_scaled_by_the_machine_that_takes_them() -> None:
     timed = given.with_measured_times({"encode_ms": 5.0, "decode_ms": 7.0, "slam_ms": 2.0})
     assert (timed.encode_s, timed.decode_s, timed.read_s) == pytest.approx((0.020, 0.021, 0.006))
     assert timed.requires == {}
-    with pytest.raises(TypeError, match="'measured' is no time yet"):
+    with pytest.raises(TypeError, match=r"^'measured' is"):
         _ = given.encode_s
     assert LinkSettings(link="given", encode_ms=5).requires == {}
 
@@ -82,7 +81,7 @@ def test_a_time_is_milliseconds_or_the_word(value: Any) -> None:
     with pytest.raises(ValidationError) as refused:
         LinkSettings(link="given", encode_ms=value)
     (error,) = refused.value.errors()
-    assert (error["loc"], error["msg"]) == (("encode_ms",), "must be milliseconds, 0 or more, or `measured`")
+    assert (error["loc"], error["type"]) == (("encode_ms",), "time")
 
 
 def test_headers_are_sent_with_every_packet() -> None:
@@ -149,7 +148,7 @@ def test_what_comes_through_a_trace_is_what_it_gives(name: str) -> None:
         mtu=1500,
     )  # fmt: skip
     received = np.count_nonzero(found.handed_s <= 60.0) * 15_000
-    assert received == pytest.approx(1500 * len(embedded(name)), abs=2 * 15_000)  # type: ignore[arg-type]
+    assert received == pytest.approx(1500 * len(embedded_trace(name)), abs=2 * 15_000)  # type: ignore[arg-type]
 
 
 def test_only_the_newest_picture_waits() -> None:
@@ -428,10 +427,10 @@ def test_everything_has_one_fate(
 @pytest.mark.parametrize(
     ("params", "words"),
     [
-        ({"mtu": 500}, "mtu is about a link; name one"),
-        ({"link": "ideal", "mtu": 40, "header_bytes": 40}, "leaves nothing of mtu 40"),
+        ({"mtu": 500}, "mtu is about a link; name one, such as link: ideal"),
+        ({"link": "ideal", "mtu": 40, "header_bytes": 40}, "header_bytes 40 .*mtu 40"),
         ({"link": "ideal", "queue_policy": "drop_late"}, "needs deadline_ms"),
-        ({"link": "ideal", "partial": True, "transport": "arq"}, "arq sends lost packets again"),
+        ({"link": "ideal", "partial": True, "transport": "arq"}, "; arq sends lost"),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(params: dict[str, Any], words: str) -> None:

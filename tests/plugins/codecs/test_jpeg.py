@@ -81,12 +81,15 @@ def test_a_cut_file_that_was_given_an_end_again_is_noticed_where_blocks_outnumbe
         Jpeg.create().decode(bitstream[: start + 40] + b"\xff\xd9")
 
 
-@pytest.mark.parametrize("size", [(65500, 65500), (1 << 13, 1 << 13), (0, 10)])
-def test_a_header_that_claims_too_much_is_refused(size: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    ("size", "reason"),
+    [((65500, 65500), "65500x65500 .*pixels"), ((1 << 13, 1 << 13), "blocks cannot be"), ((0, 10), "10x0 .*pixels")],
+)
+def test_a_header_that_claims_too_much_is_refused(size: tuple[int, int], reason: str) -> None:
     bitstream = bytearray(Jpeg.create().encode(GRAY))
     place = bytes(bitstream).index(b"\xff\xc0") + 5
     bitstream[place : place + 4] = size[0].to_bytes(2, "big") + size[1].to_bytes(2, "big")
-    with pytest.raises(BitstreamError, match=r"pixels|cannot be coded"):
+    with pytest.raises(BitstreamError, match=reason):
         Jpeg.create().decode(bytes(bitstream))
 
 
@@ -95,7 +98,7 @@ def test_progressive_files_stay_below_half_a_gigabyte() -> None:
     progressive = bytearray(Jpeg.create(progressive=True).encode(np.zeros((16, 16, 3), np.uint8)))
     frame = progressive.index(b"\xff\xc2")
     progressive[frame + 5 : frame + 9] = b"\x20\x00\x20\x00"
-    with pytest.raises(BitstreamError, match="in scans exceeds 33554432 pixels"):
+    with pytest.raises(BitstreamError, match=r"8192x8192 in scans .*33554432"):
         Jpeg.create().decode(bytes(progressive))
     large = np.broadcast_to(np.uint8(0), (8192, 8192))
     with pytest.raises(ImageError, match="33554432 pixels"):

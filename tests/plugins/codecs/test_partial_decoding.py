@@ -61,18 +61,18 @@ def test_restart_markers_change_no_pixel_and_are_left_out_where_not_asked_for() 
     plain, marked = Jpeg.create(quality=60), Jpeg.create(quality=60, restart=2)
     assert np.array_equal(plain.decode(plain.encode(PICTURE)), marked.decode(marked.encode(PICTURE)))
     assert restarts(plain.encode(PICTURE)) == []
-    with pytest.raises(ValueError, match="restart is for sequential JPEG"):
+    with pytest.raises(ValueError, match=r"restart .*sequential JPEG"):
         Jpeg.create(restart=1, progressive=True)
 
 
 @pytest.mark.parametrize(
     ("params", "gap", "words"),
     [
-        ({"restart": 1}, (0, 40), "the header is not there"),
-        ({"restart": 1}, (300, 900), "the header is not there"),
+        ({"restart": 1}, (0, 40), "header is not"),
+        ({"restart": 1}, (300, 900), "header is not"),
         ({}, (2000, 2500), "no restart intervals"),
         ({"progressive": True}, (2000, 2500), "several scans"),
-        ({"restart": 8}, (2000, 100_000), "of 2 is there whole"),
+        ({"restart": 8}, (2000, 100_000), "of 2 .*whole"),
     ],
 )
 def test_what_jpeg_can_make_nothing_of_is_refused(params: dict[str, int], gap: tuple[int, int], words: str) -> None:
@@ -107,7 +107,7 @@ def test_jpeg2000_becomes_finer_with_each_byte_that_comes(image: np.ndarray) -> 
     assert errors == sorted(errors, reverse=True)
     behind = codec.decode_partial(without(bitstream, (cut, cut + 50)))
     assert np.array_equal(behind.image, found.image)
-    with pytest.raises(BitstreamError, match="in the box at byte 0"):
+    with pytest.raises(BitstreamError, match="box at byte 0"):
         codec.decode_partial(without(bitstream, (0, 100)))
 
 
@@ -131,5 +131,5 @@ def test_slices_of_multilevel_outlive_each_other() -> None:
 
 
 def test_other_codecs_have_no_such_thing() -> None:
-    with pytest.raises(Unsupported, match="png decodes nothing of a bitstream of which parts are missing"):
+    with pytest.raises(Unsupported, match=r"^png decodes nothing"):
         Png.create().decode_partial([Fragment(0, b"")])

@@ -143,7 +143,7 @@ def test_a_cut_connection_goes_on_where_it_stopped(server):
 def test_giving_up_keeps_what_came_for_the_next_call(server, own_cache, rng):
     server.files["some.tgz"] = tar_of({"top/x": rng.bytes(20_000)})
     server.cuts = [10_000, 0, 0, 0, 0]
-    with pytest.raises(DatasetError, match="the connection was cut after 10000 bytes; fetch again"):
+    with pytest.raises(DatasetError, match="after 10000 bytes; fetch"):
         fetch_entry(entry(server, inside="top"))
     (partial,) = (own_cache / "data" / ".partial").glob("*.tgz")
     assert partial.read_bytes() == server.files["some.tgz"][:10_000]
@@ -177,7 +177,7 @@ def test_a_busy_server_is_asked_again_and_a_missing_file_is_not(server):
     fetch_entry(entry(server, inside="top"))
     assert len(server.asked) == 3
     server.asked.clear()
-    with pytest.raises(DatasetError, match=r"gone\.tgz: the server answers 404"):
+    with pytest.raises(DatasetError, match=r"gone\.tgz: .* 404 "):
         fetch_entry(CatalogEntry("gone", "tum", "", "", "", urls=(server.url("gone.tgz"),)))
     assert len(server.asked) == 1
 
@@ -192,8 +192,12 @@ def test_no_server_at_all(server):
 
 def test_a_wrong_checksum_is_refused_and_deleted(server, own_cache):
     server.files["some.tgz"] = tar_of(CONTENT)
-    with pytest.raises(DatasetError, match=r"does not have the right checksum \(the catalogue's: 0000"):
+    with pytest.raises(DatasetError) as caught:
         fetch_entry(entry(server, sha256=("0" * 64,)))
+    assert str(caught.value) == (
+        f"{server.url('some.tgz')}: what came does not have the right checksum (the catalogue's: {'0' * 64}); it was "
+        "deleted: fetch again, and if that fails the publisher has changed the file"
+    )
     assert not list(own_cache.rglob("*.tgz"))
     right = hashlib.sha256(server.files["some.tgz"]).hexdigest()
     assert fetch_entry(entry(server, sha256=(right,))).is_dir()
@@ -208,7 +212,7 @@ def test_the_first_fetch_records_the_checksum_and_later_ones_must_match(server, 
     assert (own_cache / "data" / "some.sha256").read_text() == f"{digest}  some.tgz\n"
     shutil.rmtree(folder)
     server.files["some.tgz"] = tar_of({"top/other": b"changed"})
-    with pytest.raises(DatasetError, match=f"that of the first fetch, in .*some.sha256: {digest}"):
+    with pytest.raises(DatasetError, match=rf"/some\.sha256: {digest}\)"):
         fetch_entry(entry(server))
 
 
@@ -225,7 +229,7 @@ def test_two_at_once_do_not_mix(server, tmp_path):
 
     with open(tmp_path / "part", "ab") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(DatasetError, match="another process is fetching"):
+        with pytest.raises(DatasetError, match=r"/part: another process"):
             ResumingDownloader(tmp_path / "part")(server.url("x"), tmp_path / "out")
 
 
@@ -234,7 +238,7 @@ def test_two_at_once_do_not_mix(server, tmp_path):
 def test_members_outside_the_folder_are_refused(tmp_path, name, kind):
     archive = tmp_path / f"evil.{kind}"
     archive.write_bytes((tar_of if kind == "tgz" else zip_of)({"good": b"1", name: b"2"}))
-    with pytest.raises(DatasetError, match="would lie outside its folder; nothing was unpacked"):
+    with pytest.raises(DatasetError, match="outside its folder; "):
         unpack(archive, tmp_path / "deep" / "target")
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["deep", archive.name]
 
@@ -243,7 +247,7 @@ def test_members_outside_the_folder_are_refused(tmp_path, name, kind):
 def test_members_without_a_name_are_refused(tmp_path, kind, name):
     archive = tmp_path / f"odd.{kind}"
     archive.write_bytes((tar_of if kind == "tgz" else zip_of)({"good": b"1", name: b"2"}))
-    with pytest.raises(DatasetError, match="which names none; nothing was unpacked"):
+    with pytest.raises(DatasetError, match="which names none; "):
         unpack(archive, tmp_path / "target")
     assert [file.name for file in tmp_path.iterdir()] == [archive.name]
 
@@ -268,14 +272,14 @@ def test_damaged_archives_leave_nothing(tmp_path, kind, rng):
     whole = (tar_of if kind == "tgz" else zip_of)({"top/x": rng.bytes(100_000)})
     for content in (whole[: len(whole) // 2], b"<html>moved</html>", b""):
         (tmp_path / f"a.{kind}").write_bytes(content)
-        with pytest.raises(DatasetError, match="is damaged or no archive"):
+        with pytest.raises(DatasetError, match=rf"a\.{kind}: is damaged"):
             unpack(tmp_path / f"a.{kind}", tmp_path / "target")
         assert [file.name for file in tmp_path.iterdir()] == [f"a.{kind}"]
 
 
 def test_the_catalogue_is_complete_and_the_paper_comes_first():
     entries = catalog.list_datasets()
-    assert entries[0].name == "freiburg3_long_office_household"
+    assert entries[0].name.startswith("freiburg3_long_office")
     assert {entry.kind for entry in entries} == {"tum", "euroc", "kitti", "folder"}
     assert len({entry.name for entry in entries}) == len(entries)
     for entry in entries:
@@ -289,11 +293,15 @@ def test_the_catalogue_is_complete_and_the_paper_comes_first():
 
 
 def test_names_that_are_not_there():
-    with pytest.raises(DatasetError, match=r"did you mean freiburg1_desk\?"):
+    with pytest.raises(DatasetError) as caught:
         catalog.find("freiburg1_dekc")
-    with pytest.raises(DatasetError, match="run `codecbench data fetch kodak`"):
+    hint = "did you mean freiburg1_desk? `codecbench data list` shows all"
+    assert str(caught.value) == f"no dataset is called 'freiburg1_dekc'; {hint}"
+    with pytest.raises(
+        DatasetError, match=r"/kodak: dataset kodak is not there yet; run `codecbench data fetch kodak`"
+    ):
         catalog.path("kodak")
-    with pytest.raises(DatasetError, match=r"(?s)asks for a registration.*image_0"):
+    with pytest.raises(DatasetError, match=r"(?s)^kitti_odometry: .*image_0"):
         catalog.fetch("kitti_odometry")
 
 
@@ -306,7 +314,7 @@ def test_fetch_by_name_and_use_in_a_dataset(server, monkeypatch):
     server.files["a.png"] = cv2.imencode(".png", np.zeros((4, 5), np.uint8))[1].tobytes()
     entry = CatalogEntry("pictures", "folder", "", "CC0", "nobody", urls=(server.url("a.png"),))
     monkeypatch.setattr(catalog, "DATASETS", (entry,))
-    with pytest.raises(DatasetError, match="run `codecbench data fetch pictures`"):
+    with pytest.raises(DatasetError, match=r"`.* fetch pictures`"):
         Folder.create(fetched="pictures").open()
     assert catalog.fetch("pictures") == catalog.path("pictures")
     assert Folder.create(fetched="pictures").open().read(0).image.shape == (4, 5)

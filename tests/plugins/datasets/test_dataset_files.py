@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 
 import cv2
@@ -25,6 +26,8 @@ from codecbench.plugins.datasets.tum import Tum
 CALIBRATION = (
     "model: pinhole\nwidth: 32\nheight: 24\nfps: 25\nfx: 30.5\nfy: 31\ncx: 15.5\ncy: 11.5\nk1: 0.1\np2: -1e-3\n"
 )
+
+LAYOUTS = {"tum": (Tum, {}), "kitti": (Kitti, {"sequence": "07"}), "euroc": (Euroc, {}), "folder": (Folder, {})}
 
 
 def picture(number, shape=(24, 32, 3)):
@@ -55,6 +58,11 @@ def message(dataset, **values):
     with pytest.raises(DatasetError) as caught:
         dataset.create(**values).open()
     return str(caught.value)
+
+
+def quoted(text):
+    """What a message names as it is typed: options, parameters and their values."""
+    return re.findall(r"`([^`]+)`", text)
 
 
 # TUM
@@ -98,10 +106,10 @@ def test_tum_gives_frames_times_camera_and_the_whole_true_path(tum):
 
 def test_tum_finds_its_camera(tum, tmp_path):
     (tum / "calib.yaml").rename(tmp_path / "other.yaml")
-    assert "give `camera`, `calibration`, `fov_deg`, or `camera: none`" in message(Tum, path=tum)
+    assert quoted(message(Tum, path=tum)) == ["camera", "calibration", "fov_deg", "camera: none"]
     assert Tum.create(path=tum, calibration=tmp_path / "other.yaml").open().camera.fx == 30.5
     assert Tum.create(path=tum, camera="none").open().camera is None
-    assert "is 32x24, but the calibration is for 640x480" in message(Tum, path=tum, camera="freiburg1")
+    assert re.search(r"0\.png: .*32x24.* 640x480", message(Tum, path=tum, camera="freiburg1"))
     named = tum.rename(tmp_path / "rgbd_dataset_freiburg2_desk")
     for number in range(5):
         write_picture(named / "rgb" / f"{number}.png", picture(number, (480, 640, 3)))
@@ -113,86 +121,43 @@ def test_tum_finds_its_camera(tum, tmp_path):
 def test_tum_takes_a_field_of_view_where_there_is_no_calibration(tum):
     known = Tum.create(path=tum, fov_deg=90).open()
     assert known.camera == Tum.create(path=tum).open().camera
-    assert "is not used: the camera is known from calib.yaml" in known.notes[-1]
+    unused = "the field of view of 90 degrees (`fov_deg`) is not used: the camera is known from calib.yaml"
+    assert known.notes[-1] == unused
     assert Tum.create(path=tum, fov_deg=90, camera="none").open().camera.fx == pytest.approx(16)
     (tum / "calib.yaml").unlink()
     ideal = Tum.create(path=tum, fov_deg=90).open()
     assert (ideal.camera.fx, ideal.camera.width, ideal.camera.cx) == (pytest.approx(16), 32, 15.5)
-    assert "ideal one of 90 degrees" in ideal.notes[-1]
+    assert ideal.notes[-1] == "the camera is an ideal one of 90 degrees: calibrate it before you trust a path"
     with pytest.raises(ValidationError, match="give `camera` or `fov_deg`, not both"):
         Tum.create(path=tum, fov_deg=90, camera="freiburg1")
 
 
 def test_tum_without_ground_truth_says_so(tum):
     (tum / "groundtruth.txt").unlink()
-    assert "groundtruth.txt: ground truth is missing; set `ground_truth: false`" in message(Tum, path=tum)
+    assert re.search(r"groundtruth\.txt: .* missing", message(Tum, path=tum))
+    assert cost(Tum, path=tum) == {"ground_truth": False}
     assert Tum.create(path=tum, ground_truth=False).open().ground_truth is None
-
-
-@pytest.mark.parametrize(
-    ("file", "before", "after", "words"),
-    [
-        ("rgb.txt", "100.040000", "100.0x", "rgb.txt:4: field 1 is '100.0x', which is not a finite number"),
-        ("rgb.txt", "100.040000", "nan", "rgb.txt:4: field 1 is 'nan'"),
-        ("rgb.txt", "100.040000", "100.000000", "rgb.txt:4: time 100.000000 repeats that of the row before"),
-        ("rgb.txt", "100.040000", "99.5", "rgb.txt:4: time 99.5 is before that of the row before; sort the file"),
-        ("rgb.txt", " rgb/1.png", "", "rgb.txt:4: 1 field(s), the list of frames has 2"),
-        ("rgb.txt", "rgb/1.png", "rgb/9.png", "rgb/9.png: frame is missing"),
-        ("groundtruth.txt", "99.950000000000", "99.9", "groundtruth.txt:3: time 99.9 repeats"),
-        ("groundtruth.txt", "99.950000000000", "inf", "groundtruth.txt:3: field 1 is 'inf'"),
-        ("groundtruth.txt", "99.950000000000 ", "99.95 5 ", "groundtruth.txt:3: 9 field(s), ground truth has 8"),
-        ("calib.yaml", "fx: 30.5", "fx: wide", "calib.yaml:5: `fx` is 'wide', which is not a finite number"),
-        ("calib.yaml", "fx: 30.5\n", "", "calib.yaml: `fx` is missing"),
-        ("calib.yaml", "fx: 30.5", "fx: -1", "calib.yaml:5: `fx` is -1, which is not above 0"),
-        ("calib.yaml", "fps: 25", "fps: 0", "calib.yaml:4: `fps` is 0"),
-        (
-            "calib.yaml",
-            "pinhole",
-            "fisheye",
-            "calib.yaml:1: `model` is 'fisheye'; `pinhole` and `equidistant` are known",
-        ),
-        ("calib.yaml", "width: 32", "width: [", "calib.yaml:"),
-        ("calib.yaml", "width: 32", "width: 64", "0.png: is 32x24, but the calibration is for 64x24"),
-    ],
-)
-def test_tum_names_file_and_line_of_what_is_wrong(tum, file, before, after, words):
-    rewrite(tum / file, before, after)
-    assert words in message(Tum, path=tum)
-
-
-def test_tum_quaternions_have_unit_length(tum):
-    lines = (tum / "groundtruth.txt").read_text().splitlines()
-    lines[2] = "99.95 0 0 0 0 0 0 0.5"
-    (tum / "groundtruth.txt").write_text("\n".join(lines))
-    assert "groundtruth.txt:3: quaternion has length 0.5, not 1" in message(Tum, path=tum)
-
-
-def test_tum_files_that_are_missing_empty_or_not_text(tum, tmp_path):
-    assert "is not a folder; `path` names the one that holds rgb.txt" in message(Tum, path=tmp_path / "nowhere")
-    (tum / "rgb.txt").write_text("# nothing\n")
-    assert "rgb.txt: the list of frames has no rows" in message(Tum, path=tum)
-    (tum / "rgb.txt").write_bytes(b"\xff\xfe\x00")
-    assert "rgb.txt: the list of frames is not text, at byte 0" in message(Tum, path=tum)
-    (tum / "rgb.txt").unlink()
-    assert "rgb.txt: the list of frames is missing" in message(Tum, path=tum)
 
 
 @pytest.mark.parametrize("values", [{}, {"path": "x", "fetched": "y"}])
 def test_one_place_must_be_given(values):
-    with pytest.raises(ValidationError, match="either `path` or `fetched`"):
+    with pytest.raises(ValidationError, match="`path` or `fetched`"):
         Tum.create(**values)
 
 
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"stop": 6}, "rgb.txt: stop is 6, but there are 5 frames"),
+        ({"stop": 6}, "rgb.txt: stop is 6, but there are 5 frames; leave it out to use them all"),
         ({"start": 5}, "rgb.txt: start is 5, which is not below the number of frames (5)"),
-        ({"start": 3, "stop": 2}, "start is 3, which is not below stop (2)"),
+        ({"start": 3, "stop": 2}, "start is 3, which is not below stop (2); no frame is left"),
+        ({"skip": [5]}, "skip has 5, but there are 5 frames, counted from 0"),
+        ({"start": 1, "stop": 3, "skip": [1, 2]}, "skip leaves no frame of those from 1 to 2"),
+        ({"path": "nowhere"}, "nowhere: is not a folder; `path` names the one that holds rgb.txt"),
     ],
 )
 def test_selections_that_are_not_there(tum, values, words):
-    assert words in message(Tum, path=tum, **values)
+    assert words in message(Tum, **{"path": tum, **values})
 
 
 def test_skipped_frames_are_left_out_and_the_others_keep_their_times(tum):
@@ -200,26 +165,20 @@ def test_skipped_frames_are_left_out_and_the_others_keep_their_times(tum):
     np.testing.assert_allclose(sequence.timestamps_s, [100.04, 100.12, 100.16])
     np.testing.assert_array_equal(sequence.read(1).image, picture(3))
     assert sequence.frame_rate_hz == 25.0
-    assert sequence.notes == ("3 of 5 frames are used, from 1 to 4, without 2 that `skip` names",)
+    (note,) = sequence.notes
+    assert (re.findall(r"\d+", note), quoted(note)) == (["3", "5", "1", "4", "2"], ["skip"])
     assert sequence.fingerprint != Tum.create(path=tum, start=1).open().fingerprint
     assert Tum.create(path=tum, skip=[0]).open().fingerprint == Tum.create(path=tum, start=1).open().fingerprint
-    assert "skip has 5, but there are 5 frames, counted from 0" in message(Tum, path=tum, skip=[5])
-    assert "skip leaves no frame of those from 1 to 2" in message(Tum, path=tum, start=1, stop=3, skip=[1, 2])
-    with pytest.raises(ValidationError, match="greater than or equal to 0"):
+    with pytest.raises(ValidationError, match=r"skip\.0\n.* equal to 0 "):
         Tum.create(path=tum, skip=[-1])
 
 
-@pytest.mark.parametrize("layout", ["tum", "kitti", "euroc", "folder"])
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_a_damaged_picture_costs_itself(layout, request):
     """The error says how to leave it out, counted in the recording; so does that of a first one."""
     path = request.getfixturevalue("tum" if layout == "folder" else layout)
     path = path / "rgb" if layout == "folder" else path
-    dataset, more = {
-        "tum": (Tum, {}),
-        "kitti": (Kitti, {"sequence": "07"}),
-        "euroc": (Euroc, {}),
-        "folder": (Folder, {}),
-    }[layout]
+    dataset, more = LAYOUTS[layout]
     sequence = dataset.create(path=path, start=1, **more).open()
     file = sequence._content.files[1]
     whole = file.read_bytes()
@@ -228,8 +187,9 @@ def test_a_damaged_picture_costs_itself(layout, request):
         with pytest.raises(DatasetError) as caught:
             sequence.read(1)
         assert caught.value.without == {"skip": [2]}
-        said = f"{file}: not an image that OpenCV can read ({len(content)} bytes); fetch or copy it again"
-        assert (caught.value.what, str(caught.value)) == (said, f"{said}; set `skip: [2]` to go without it")
+        assert caught.value.what.startswith(f"{file}: ")
+        assert f"({len(content)} bytes)" in caught.value.what
+        assert (quoted(caught.value.what), quoted(str(caught.value))) == ([], ["skip: [2]"])
         with pytest.raises(DatasetError) as caught:
             dataset.create(path=path, start=2, fov_deg=90, **more).open()
         assert caught.value.without == {"skip": [2]}
@@ -250,9 +210,11 @@ def test_pictures_that_are_missing_cost_themselves_unless_they_are_most(tum):
     for number in (1, 3):
         (tum / "rgb" / f"{number}.png").unlink()
     assert cost(Tum, path=tum) == {"skip": [1, 3]}
-    assert message(Tum, path=tum).endswith("fetch or copy the sequence again; set `skip: [1, 3]` to go without it")
+    assert quoted(message(Tum, path=tum)) == ["skip: [1, 3]"]
     (tum / "rgb" / "0.png").unlink()
-    assert message(Tum, path=tum).endswith("frame is missing (and 2 more of 5); fetch or copy the sequence again")
+    said = message(Tum, path=tum)
+    assert re.search(r"0\.png: .*2 more of 5", said)
+    assert quoted(said) == []
 
 
 def test_a_calibration_and_a_true_path_cost_themselves(tum, kitti, euroc, tmp_path):
@@ -260,11 +222,8 @@ def test_a_calibration_and_a_true_path_cost_themselves(tum, kitti, euroc, tmp_pa
     with pytest.raises(DatasetError) as caught:
         Tum.create(path=tum, calibration=tmp_path / "own.yaml").open()
     assert caught.value.without == {}  # it was asked for
-    rewrite(tum / "calib.yaml", "model: pinhole", "note: taken at 5:30: sunny")
-    assert message(Tum, path=tum) == (
-        f"{tum}/calib.yaml:1: calibration is not YAML: mapping values are not allowed here in "
-        "'note: taken at 5:30: sunny'; set `camera: none` to go without it"
-    )
+    rewrite(tum / "calib.yaml", "width: 32", "width: [")
+    assert quoted(message(Tum, path=tum)) == ["camera: none"]
     assert cost(Tum, path=tum, fov_deg=90) == {"camera": "none"}
     rewrite(tum / "groundtruth.txt", "99.95", "x")
     assert cost(Tum, path=tum, camera="none") == {"ground_truth": False}
@@ -273,7 +232,7 @@ def test_a_calibration_and_a_true_path_cost_themselves(tum, kitti, euroc, tmp_pa
     assert cost(Kitti, **drive) == {"calibration": "none"}
     street = Kitti.create(**drive, calibration="none").open()
     assert (street.camera, len(street.ground_truth)) == (None, 4)
-    assert street.notes[-1].startswith("without calibration the poses are those of camera 0")
+    assert "camera 0" in street.notes[-1]
     assert Kitti.create(**drive, calibration="none", fov_deg=90).open().camera.fx == pytest.approx(16)
     rewrite(kitti / "poses/07.txt", "\n", "\n1 2 3\n")
     assert cost(Kitti, **drive, calibration="none") == {"ground_truth": False}
@@ -307,17 +266,19 @@ def test_a_miscalibrated_camera_sees_the_same_and_says_another_lens(layout, scal
     distortion = (camera.distortion[0] + 0.02, *camera.distortion[1:])
     assert told.camera == replace(camera, fx=1.01 * camera.fx, fy=1.01 * camera.fy, distortion=distortion)
     assert told.notes[:-1] == true.notes
-    assert told.notes[-1] == "its calibration is wrong on purpose: k1 by +0.02, the focal length by +1 %"
+    assert re.findall(r"[+-][\d.]+", told.notes[-1]) == ["+0.02", "+1"]
+    assert re.findall(r"[+-][\d.]+", less.notes[-1]) == ["-0.02", "-1"]
     assert [frame.timestamp_s for frame in told] == [frame.timestamp_s for frame in true]
     for frame, wanted in zip(told, true, strict=True):
         np.testing.assert_array_equal(frame.image, wanted.image)
 
 
-def test_no_calibration_is_wrong_without_a_camera(tum):
-    assert message(Folder, path=tum / "rgb", calibration_error=0.01) == (
-        "rgb: no camera is known that could be wrong; set `calibration_error: 0.0` to go without it"
-    )
-    with pytest.raises(ValidationError, match="less than or equal"):
+def test_a_calibration_is_wrong_only_where_there_is_one(tum):
+    (note,) = Tum.create(path=tum, calibration_error=0.1).open().notes
+    assert note == "its calibration is wrong on purpose: k1 by +0.1, the focal length by +5 %"
+    said = "rgb: no camera is known that could be wrong; set `calibration_error: 0.0` to go without it"
+    assert message(Folder, path=tum / "rgb", calibration_error=0.01) == said
+    with pytest.raises(ValidationError, match=r"calibration_error\n.* equal to 0\.1 "):
         Tum.create(path=tum, calibration_error=0.2)
 
 
@@ -336,9 +297,9 @@ def test_frames_that_do_not_fit_are_named_when_they_are_read(tum):
         sequence.read(2)
     assert Tum.create(path=tum, color="rgb").open().read(2).image.shape == (24, 32, 3)
     (tum / "rgb" / "2.png").unlink()
-    with pytest.raises(DatasetError, match=r"2\.png: cannot be read: No such file"):
+    with pytest.raises(DatasetError, match=r"2\.png: .*No such"):
         sequence.read(2)
-    with pytest.raises(DatasetError, match=r"frame 5 is not in 0\.\.4"):
+    with pytest.raises(DatasetError, match=r"5 is not in 0\.\.4"):
         sequence.read(5)
 
 
@@ -396,7 +357,7 @@ def test_channels_come_out_as_they_are_in_the_file(tmp_path):
 
 def test_sixteen_bits_are_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "deep.png"), np.ones((4, 4), np.uint16))
-    with pytest.raises(DatasetError, match=r"deep\.png: has samples of uint16; frames have 8 bits"):
+    with pytest.raises(DatasetError, match=r"deep\.png: .* uint16.* 8 "):
         read_image_file(tmp_path / "deep.png")
 
 
@@ -426,15 +387,15 @@ def test_folder_with_a_camera_checks_sizes(tmp_path):
     (tmp_path / "c.yaml").write_text(CALIBRATION)
     sequence = Folder.create(path=tmp_path / "f", calibration=tmp_path / "c.yaml").open()
     assert sequence.camera.width == 32
-    with pytest.raises(DatasetError, match=r"2\.png: is 8x8, but the calibration is for 32x24"):
+    with pytest.raises(DatasetError, match=r"2\.png: .* 8x8.* 32x24"):
         sequence.read(1)
 
 
 def test_folder_without_images(tmp_path):
-    assert "holds no image files (.png" in message(Folder, path=tmp_path)
+    assert re.search(r"holds no .*\(\.png", message(Folder, path=tmp_path))
     assert "is not a folder" in message(Folder, path=tmp_path / "nowhere")
     (tmp_path / "a.png").write_text("hello")
-    assert "a.png: not an image that OpenCV can read (5 bytes)" in message(Folder, path=tmp_path)
+    assert re.search(r"a\.png: .*\(5 bytes\)", message(Folder, path=tmp_path))
 
 
 def test_natural_order_is_total(tmp_path):
@@ -491,49 +452,29 @@ def test_kitti_colour_has_the_poses_of_its_own_camera(kitti):
     np.testing.assert_allclose(found[:2] / found[2], expected[:2] / expected[2], atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("file", "before", "after", "words"),
-    [
-        ("sequences/07/times.txt", "0.1", "x", "times.txt:2: field 1 is 'x'"),
-        ("sequences/07/times.txt", "0.1\n", "0.1\n0.1\n", "times.txt:3: time 0.1 repeats"),
-        ("sequences/07/calib.txt", "P0:", "Q0:", "calib.txt: calibration has no row `P0:`"),
-        ("sequences/07/calib.txt", "P0: 30", "P0:", "calib.txt:1: P0 has 11 numbers, a projection matrix has 12"),
-        ("sequences/07/calib.txt", "P0: 30", "P0: -30", "calib.txt:1: P0 is not the matrix of a rectified camera"),
-        ("poses/07.txt", "\n", "\n1 2 3\n", "07.txt:2: 3 field(s), ground truth has 12"),
-        ("poses/07.txt", "\n", "\n1 0 0 0 0 1 0 0 0 0 5 0\n", "07.txt: 5 poses, but 4 times"),
-    ],
-)
-def test_kitti_names_file_and_line(kitti, file, before, after, words):
-    rewrite(kitti / file, before, after)
-    assert words in message(Kitti, path=kitti, sequence="07")
-
-
 def test_kitti_takes_a_field_of_view_where_there_is_no_calibration(kitti):
     params = {"path": kitti, "sequence": "07", "fov_deg": 90}
     known = Kitti.create(**params).open()
     assert known.camera == Kitti.create(path=kitti, sequence="07").open().camera
-    assert "is not used: the camera is known from calib.txt" in known.notes[-1]
+    assert known.notes[-1].endswith("from calib.txt")
     next(kitti.rglob("calib.txt")).unlink()
     ideal = Kitti.create(**params).open()
     assert ideal.camera.fx == pytest.approx(ideal.camera.width / 2)
-    assert "ideal one of 90 degrees" in ideal.notes[0]
-    assert "the poses are those of camera 0" in ideal.notes[1]
-    assert "`fov_deg` makes an ideal camera" in message(Kitti, path=kitti, sequence="07")
+    assert "ideal one of 90" in ideal.notes[0]
+    assert "camera 0" in ideal.notes[1]
+    assert "fov_deg" in quoted(message(Kitti, path=kitti, sequence="07"))
 
 
 def test_kitti_what_is_missing(kitti):
-    assert "sequences/08: is not a folder" in message(Kitti, path=kitti, sequence="08")
-    rows = (kitti / "poses" / "07.txt").read_text().splitlines()
-    rows[1] = "2 0 0 0 0 2 0 0 0 0 2 0"
-    (kitti / "poses" / "07.txt").write_text("\n".join(rows))
-    assert "07.txt:2: the first three columns are not a rotation" in message(Kitti, path=kitti, sequence="07")
+    assert "08: is not a folder" in message(Kitti, path=kitti, sequence="08")
     (kitti / "poses" / "07.txt").unlink()
-    assert "ground truth is missing; set `ground_truth: false`" in message(Kitti, path=kitti, sequence="07")
+    assert re.search(r"07\.txt: .* missing", message(Kitti, path=kitti, sequence="07"))
+    assert cost(Kitti, path=kitti, sequence="07") == {"ground_truth": False}
     assert Kitti.create(path=kitti, sequence="07", ground_truth=False).open().ground_truth is None
     (kitti / "sequences/07/image_0/000001.png").unlink()
     (kitti / "sequences/07/image_0/000002.png").unlink()
     words = message(Kitti, path=kitti, sequence="07", ground_truth=False)
-    assert "000001.png: frame is missing (and 1 more of 4)" in words
+    assert re.search(r"000001\.png: .*\(and 1 more of 4\)", words)
 
 
 # EuRoC
@@ -593,47 +534,159 @@ def test_euroc_and_calibration_files_may_describe_a_fisheye(euroc, tmp_path):
     assert Euroc.create(path=euroc).open().fingerprint != fisheye
 
 
-@pytest.mark.parametrize(
-    ("file", "before", "after", "words"),
-    [
-        ("cam0/data.csv", f"{START_NS},", "12.5,", "data.csv:2: field 1 is '12.5', which is not a whole number of ns"),
-        ("cam0/data.csv", f"{START_NS + 50_000_000},", f"{START_NS},", "data.csv:3: time 1403636579763555584 repeats"),
-        ("cam0/sensor.yaml", "pinhole", "omni", "sensor.yaml:9: `camera_model` is 'omni'; only `pinhole` is known"),
-        ("cam0/sensor.yaml", "radial-tangential", "fov", "sensor.yaml:11: `distortion_model` is 'fov'; `radial-tang"),
-        ("cam0/sensor.yaml", "[32, 24]", "[32]", "sensor.yaml:8: `resolution` is [32], not a list of 2 numbers"),
-        ("cam0/sensor.yaml", "30.5", "-30.5", "sensor.yaml:10: `intrinsics` holds a number that is not above 0"),
-        ("cam0/sensor.yaml", "  data: [", "  data: [9, ", "`T_BS.data` is"),
-        ("state_groundtruth_estimate0/data.csv", ",0.1", ",", ""),
-        ("state_groundtruth_estimate0/data.csv", f"{START_NS + 5_000_000},", f"{START_NS + 5_000_000},x", "data.csv:3"),
-    ],
-)
-def test_euroc_names_file_and_line(euroc, file, before, after, words):
-    rewrite(euroc / "mav0" / file, before, after)
-    if words:
-        assert words in message(Euroc, path=euroc)
-    else:
-        Euroc.create(path=euroc).open()
+def test_euroc_needs_no_more_of_its_truth_than_the_poses(euroc):
+    rewrite(euroc / "mav0/state_groundtruth_estimate0/data.csv", ",0.1", ",")
+    assert len(Euroc.create(path=euroc).open().ground_truth) == 6
 
 
 def test_euroc_takes_a_field_of_view_where_there_is_no_calibration(euroc):
     known = Euroc.create(path=euroc, fov_deg=90).open()
     assert known.camera == Euroc.create(path=euroc).open().camera
-    assert "is not used: the camera is known from sensor.yaml" in known.notes[-1]
+    assert known.notes[-1].endswith("from sensor.yaml")
     (euroc / "mav0" / "cam0" / "sensor.yaml").unlink()
     ideal = Euroc.create(path=euroc, fov_deg=90).open()
     assert (ideal.camera.fx, ideal.frame_rate_hz) == (pytest.approx(ideal.camera.width / 2), 20.0)
-    assert "taken as the camera's" in ideal.notes[1]
+    assert "ideal one of 90" in ideal.notes[0]
+    assert "the vehicle's sensor" in ideal.notes[1]
     assert len(ideal.ground_truth) == len(known.ground_truth)
-    assert "`fov_deg` makes an ideal camera" in message(Euroc, path=euroc)
+    assert "fov_deg" in quoted(message(Euroc, path=euroc))
 
 
 def test_euroc_what_is_missing(euroc, tmp_path):
-    assert "cam1: is not a folder" in message(Euroc, path=euroc, camera="cam1")
+    assert "cam1: is not" in message(Euroc, path=euroc, camera="cam1")
     (euroc / "mav0/state_groundtruth_estimate0/data.csv").unlink()
-    assert "ground truth is missing; set `ground_truth: false`" in message(Euroc, path=euroc)
+    assert re.search(r"estimate0/data\.csv: .* missing", message(Euroc, path=euroc))
+    assert cost(Euroc, path=euroc) == {"ground_truth": False}
     assert Euroc.create(path=euroc, ground_truth=False).open().ground_truth is None
     (euroc / "mav0/cam0/sensor.yaml").unlink()
-    assert "sensor.yaml: calibration is missing" in message(Euroc, path=euroc, ground_truth=False)
+    assert re.search(r"sensor\.yaml: .* missing", message(Euroc, path=euroc, ground_truth=False))
+
+
+# What is wrong in their files
+
+
+WHOLE = ""
+"""In the place of what a file holds before: all of it."""
+STILL = "1 0 0 0 0 1 0 0 0 0 1 0"
+NS = [START_NS + 50_000_000 * number for number in range(2)]
+TRUTH = "state_groundtruth_estimate0/data.csv"
+TRUTH_NS = START_NS + 5_000_000
+
+
+@pytest.mark.parametrize(
+    ("layout", "file", "before", "after", "pattern"),
+    [
+        ("tum", "rgb.txt", "100.040000", "100.0x", r"rgb.txt:4: field 1 is '100.0x', which is not a finite number$"),
+        ("tum", "rgb.txt", "100.040000", "nan", r"rgb.txt:4: .*'nan'"),
+        (
+            "tum",
+            "rgb.txt",
+            "100.040000",
+            "100.000000",
+            r"rgb.txt:4: time 100.000000 repeats that of the row before; sort the file$",
+        ),
+        ("tum", "rgb.txt", "100.040000", "99.5", r"rgb.txt:4: time 99.5 is before "),
+        ("tum", "rgb.txt", " rgb/1.png", "", r"rgb.txt:4: 1 field\(s\), the list of frames has 2$"),
+        ("tum", "rgb.txt", "rgb/1.png", "rgb/9.png", r"rgb/9.png: frame is missing; fetch or copy the sequence again"),
+        ("tum", "rgb.txt", WHOLE, "# nothing\n", r"rgb.txt: the list of frames has no rows$"),
+        ("tum", "rgb.txt", WHOLE, b"\xff\xfe\x00", r"rgb.txt: the list of frames is not text, at byte 0$"),
+        ("tum", "rgb.txt", WHOLE, None, r"rgb.txt: the list of frames is missing$"),
+        (
+            "tum",
+            "0.png",
+            WHOLE,
+            "hello",
+            r"0.png: not an image that OpenCV can read \(5 bytes\); fetch or copy it again; set `skip: \[0\]` to",
+        ),
+        ("tum", "groundtruth.txt", "99.950000000000", "99.9", r"groundtruth.txt:3: time 99.9 repeats"),
+        ("tum", "groundtruth.txt", "99.950000000000", "inf", r"groundtruth.txt:3: .*'inf'"),
+        ("tum", "groundtruth.txt", "99.950000000000 ", "99.95 5 ", r"groundtruth.txt:3: 9 .* has 8"),
+        (
+            "tum",
+            "groundtruth.txt",
+            "99.950000000000 ",
+            "99.95 0 0 0 0 0 0 0.5\n99.96 ",
+            r"groundtruth.txt:3: quaternion has length 0.5, not 1",
+        ),
+        ("tum", "calib.yaml", "fx: 30.5", "fx: wide", r"calib.yaml:5: `fx` .*'wide'"),
+        ("tum", "calib.yaml", "fx: 30.5\n", "", r"calib.yaml: `fx` is missing"),
+        ("tum", "calib.yaml", "fx: 30.5", "fx: -1", r"calib.yaml:5: `fx` is -1, which is not above 0"),
+        ("tum", "calib.yaml", "fps: 25", "fps: 0", r"calib.yaml:4: `fps` is 0"),
+        (
+            "tum",
+            "calib.yaml",
+            "pinhole",
+            "fisheye",
+            r"calib.yaml:1: `model` is 'fisheye'; `pinhole` and `equidistant` are known",
+        ),
+        (
+            "tum",
+            "calib.yaml",
+            "model: pinhole",
+            "note: at 5:30: sunny",
+            r"calib.yaml:1: calibration is not YAML: mapping values are not allowed here in 'note: at 5:30: sunny'",
+        ),
+        (
+            "tum",
+            "calib.yaml",
+            "width: 32",
+            "width: 64",
+            r"0.png: is 32x24, but the calibration is for 64x24; scale one",
+        ),
+        ("kitti", "times.txt", "0.1", "x", r"times.txt:2: .*'x'"),
+        ("kitti", "times.txt", "0.1\n", "0.1\n0.1\n", r"times.txt:3: time 0.1 repeats"),
+        ("kitti", "calib.txt", "P0:", "Q0:", r"calib.txt: calibration has no row `P0:`"),
+        ("kitti", "calib.txt", "P0: 30", "P0:", r"calib.txt:1: P0 has 11 numbers, a projection matrix has 12"),
+        ("kitti", "calib.txt", "P0: 30", "P0: -30", r"calib.txt:1: P0 is not the matrix of a rectified camera"),
+        ("kitti", "07.txt", "\n", "\n1 2 3\n", r"07.txt:2: 3 .* has 12"),
+        ("kitti", "07.txt", "\n", f"\n{STILL}\n", r"07.txt: 5 poses, but 4 times; both have one row a frame"),
+        (
+            "kitti",
+            "07.txt",
+            WHOLE,
+            f"{STILL}\n{STILL.replace('1', '2')}\n" * 2,
+            r"07.txt:2: the first three columns are not a rotation",
+        ),
+        (
+            "euroc",
+            "cam0/data.csv",
+            f"{NS[0]},",
+            "12.5,",
+            r"data.csv:2: field 1 is '12.5', which is not a whole number of ns$",
+        ),
+        ("euroc", "cam0/data.csv", f"{NS[1]},", f"{NS[0]},", rf"data.csv:3: time {NS[0]} repeats"),
+        (
+            "euroc",
+            "sensor.yaml",
+            "pinhole",
+            "omni",
+            r"sensor.yaml:9: `camera_model` is 'omni'; only `pinhole` is known",
+        ),
+        (
+            "euroc",
+            "sensor.yaml",
+            "radial-tangential",
+            "fov",
+            r"sensor.yaml:11: `distortion_model` .*'fov'.*`radial-tangential`.*`equidistant`",
+        ),
+        ("euroc", "sensor.yaml", "[32, 24]", "[32]", r"sensor.yaml:8: `resolution` is \[32\], not a list of 2 numbers"),
+        ("euroc", "sensor.yaml", "30.5", "-30.5", r"sensor.yaml:10: `intrinsics` holds a number that is not above 0"),
+        ("euroc", "sensor.yaml", "  data: [", "  data: [9, ", r"`T_BS.data` is \[9"),
+        ("euroc", TRUTH, f"{TRUTH_NS},", f"{TRUTH_NS},x", r"data.csv:3: .*'x"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_named_with_its_line(layout, file, before, after, pattern, request):
+    folder = request.getfixturevalue(layout)
+    (path,) = folder.rglob(file)
+    if after is None:
+        path.unlink()
+    elif before == WHOLE:
+        path.write_bytes(after if isinstance(after, bytes) else after.encode())
+    else:
+        rewrite(path, before, after)
+    dataset, more = LAYOUTS[layout]
+    with pytest.raises(DatasetError, match=pattern):
+        dataset.create(path=folder, **more).open()
 
 
 # Real sequences

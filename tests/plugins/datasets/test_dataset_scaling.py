@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -118,13 +120,15 @@ def test_scales_that_are_none(scale, tmp_path):
 @pytest.mark.parametrize("scale", [0.1, 1e-9])
 def test_frames_that_would_be_too_small(spot, scale):
     params, _ = spot
-    with pytest.raises(
-        DatasetError, match=rf"spot: `scale` {scale:g} makes .* of frames of 160x120; at least 16 pixels"
-    ):
+    with pytest.raises(DatasetError, match=rf"spot: `scale` {scale:g} .* 160x120; .* 16 pixels"):
         Folder.create(**params, scale=scale).open()
 
 
 def test_frames_that_would_be_too_large(tmp_path):
     assert cv2.imwrite(str(tmp_path / "0.png"), np.zeros((1024, 1024), np.uint8))
-    with pytest.raises(DatasetError, match=r"makes 16384x16384 of frames of 1024x1024; .* at most 67,108,864 in all"):
+    said = (
+        "`scale` 16 makes 16384x16384 of frames of 1024x1024; "
+        "at least 16 pixels a side and at most 67,108,864 in all are allowed: choose another"
+    )
+    with pytest.raises(DatasetError, match=f"{re.escape(said)}$"):
         Folder.create(path=tmp_path, scale=16.0).open()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from itertools import pairwise
 from math import pi
 
@@ -80,26 +81,26 @@ def test_the_default_length_is_one_loop_and_the_beginning_of_the_next():
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("values", "pattern"),
     [
-        ({"world": "rom"}, ["world", "'room'", "'field'"]),
-        ({"world": "room", "severity": 1.01}, ["severity", "less than or equal to 1"]),
-        ({"world": "room", "severity": -0.1}, ["severity", "greater than or equal to 0"]),
-        ({"world": "room", "severity": "much"}, ["severity", "number"]),
-        ({"world": "room", "rate_hz": 0}, ["rate_hz", "greater than 0"]),
-        ({"world": "room", "width": 8}, ["width", "greater than or equal to 16"]),
-        ({"world": "room", "height": 5000}, ["height", "less than or equal to 4096"]),
-        ({"world": "room", "frames": 0}, ["frames", "greater than or equal to 1"]),
-        ({"world": "room", "noise": 2.0}, ["noise is part of world room", "severity"]),
-        ({"world": "room", "speed": 2.0}, ["speed is part of world room"]),
-        ({"severity": 0.2}, ["severity belongs to a world", "corridor_loop"]),
-        ({"rate_hz": 10}, ["rate_hz belongs to a world"]),
+        ({"world": "rom"}, r"^world\n.*'room'.*'field'"),
+        ({"world": "room", "severity": 1.01}, r"^severity\n.* less .*\b1 "),
+        ({"world": "room", "severity": -0.1}, r"^severity\n.* greater .*\b0 "),
+        ({"world": "room", "severity": "much"}, r"^severity\n.* number"),
+        ({"world": "room", "rate_hz": 0}, r"^rate_hz\n.* greater than 0 "),
+        ({"world": "room", "width": 8}, r"^width\n.* equal to 16 "),
+        ({"world": "room", "height": 5000}, r"^height\n.* equal to 4096 "),
+        ({"world": "room", "frames": 0}, r"^frames\n.* equal to 1 "),
+        ({"world": "room", "noise": 2.0}, r"noise is part of world room; set its severity, or leave out the world"),
+        ({"world": "room", "speed": 2.0}, r"\bspeed .* world room"),
+        ({"severity": 0.2}, r"severity belongs to a world; name one: world: .*\bcorridor_loop, "),
+        ({"rate_hz": 10}, r"\brate_hz belongs "),
     ],
 )
-def test_parameters_out_of_range_are_refused(values, words):
+def test_parameters_out_of_range_are_refused(values, pattern):
     with pytest.raises(ValidationError) as caught:
         SyntheticParams(**values)
-    assert all(word in str(caught.value) for word in words), str(caught.value)
+    assert re.search(pattern, str(caught.value), re.MULTILINE)
 
 
 # Severity

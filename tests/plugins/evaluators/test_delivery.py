@@ -19,8 +19,7 @@ from codecbench.core.engine.planning.description import without_defaults
 from codecbench.plugins.codecs.jpeg import Jpeg
 from codecbench.plugins.codecs.raw import Raw
 from codecbench.plugins.evaluators.delivery import DeliveryEvaluator
-from codecbench.plugins.links.constant import Constant
-from codecbench.plugins.links.ideal import Ideal
+from codecbench.plugins.links.constant import Constant, Ideal
 from codecbench.plugins.links.presets import WifiEdge
 
 PLUGINS = Plugins(

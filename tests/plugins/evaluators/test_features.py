@@ -12,9 +12,7 @@ from memory_sequence import CodedInMemory, FunctionCodec, MemorySequence, contex
 
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.image import Image
-from codecbench.plugins.evaluators.features import Features
-from codecbench.plugins.evaluators.features.evaluator import _inlier_ratio
-from codecbench.plugins.evaluators.features.partners import matches, nearest_places
+from codecbench.plugins.evaluators.features import Features, _inlier_ratio, matches, nearest_places
 
 
 def moving(frames: int, height: int = 240, width: int = 320) -> list[Image]:

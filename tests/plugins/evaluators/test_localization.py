@@ -20,11 +20,9 @@ from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Frame, Trajectory
 from codecbench.core.engine.planning.description import without_defaults
-from codecbench.plugins.evaluators.localization import Localization
-from codecbench.plugins.evaluators.localization.evaluator import _measured
-from codecbench.plugins.evaluators.localization.reference_map import LocalizedPose
-from codecbench.plugins.links.constant import Constant
-from codecbench.plugins.links.ideal import Ideal
+from codecbench.plugins.evaluators.localization import Localization, _frame_measurements
+from codecbench.plugins.evaluators.reference_map import LocalizedPose
+from codecbench.plugins.links.constant import Constant, Ideal
 from codecbench.plugins.slam_backends.orb import Orb
 
 CAMERA = Camera(VIEW.width, VIEW.height, VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
@@ -148,7 +146,9 @@ def localized(x_m: float, turn_deg: float, inliers: int = 80) -> LocalizedPose:
 
 def judged(tracked: LocalizedPose | None, raw: LocalizedPose | None, truth: np.ndarray) -> dict[str, Measurement]:
     reference_map: Any = SimpleNamespace(truth=truth[None], limit_m=0.02, limit_deg=2.5)
-    found = _measured(reference_map, 0, {"tracked": tracked, "relocalized": None}, {"tracked": raw, "relocalized": raw})
+    found = _frame_measurements(
+        reference_map, 0, {"tracked": tracked, "relocalized": None}, {"tracked": raw, "relocalized": raw}
+    )
     return {m.metric: m for m in found}
 
 

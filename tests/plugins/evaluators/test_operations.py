@@ -25,8 +25,8 @@ from codecbench.plugins.codecs.jpeg2000 import Jpeg2000
 from codecbench.plugins.codecs.jpeg_qf.codec import JpegQf
 from codecbench.plugins.codecs.multilevel import Multilevel
 from codecbench.plugins.codecs.raw import Raw
-from codecbench.plugins.evaluators.operations import Operations, codec_models, machine, machine_child
-from codecbench.plugins.evaluators.operations.instructions import classified, counters_of, read_profile, relocated
+from codecbench.plugins.evaluators.operations import Operations, machine, machine_child, model
+from codecbench.plugins.evaluators.operations.machine import classify, counters_of, read_profile, reassign_to_owners
 
 FRAMES = MemorySequence([textured(480, 640, seed) for seed in range(3)])
 SMALL = MemorySequence([textured(24, 32, seed) for seed in range(5)])
@@ -117,7 +117,7 @@ def test_families_have_one_spelling() -> None:
 )
 def test_all_planes_of_a_colour_image(codec: Any, samples: float) -> None:
     image = np.zeros((480, 640, 3), np.uint8)
-    planes = codec_models.coded_planes(image, codec.params.model_dump())
+    planes = model.coded_planes(image, codec.params.model_dump())
     assert sum(plane.samples for plane in planes) == samples * 480 * 640
 
 
@@ -131,7 +131,7 @@ def test_the_measured_share_is_that_of_the_coefficients_in_the_file() -> None:
         for column in range(0, 64, 8):
             block = cv2.dct(image[row : row + 8, column : column + 8].astype(np.float64) - 128)
             nonzero += np.count_nonzero(np.round(np.abs(block) / steps))
-    assert codec_models.measured_nonzero_share(image, bitstream) == pytest.approx(nonzero / image.size, abs=2e-3)
+    assert model.measure_nonzero_share(image, bitstream) == pytest.approx(nonzero / image.size, abs=2e-3)
     assert 0 < nonzero / image.size < 0.5
 
 
@@ -175,13 +175,13 @@ def test_profiles_are_read_without_the_cost_of_calls_and_jumps_find_their_librar
     objects = read_profile(PROFILE.splitlines())
     assert objects["/lib/one.so"] == {0x1000: 5, 0x1004: 2, 0x40: 7}
     code = {"/lib/one.so": [(0x1000, b"\x90" * 16)], "/lib/two.so": [(0, b"\x90" * 128)]}
-    assert relocated(objects, code) == {"/lib/one.so": {0x1000: 5, 0x1004: 2}, "/lib/two.so": {0x40: 8}}
+    assert reassign_to_owners(objects, code) == {"/lib/one.so": {0x1000: 5, 0x1004: 2}, "/lib/two.so": {0x40: 8}}
 
 
 def test_instructions_are_classified_with_their_memory_operands() -> None:
     pytest.importorskip("iced_x86", reason="the extra `machine` is not installed")
     text = bytes.fromhex("4801 07480faf 0ec5fc5807c390")  # add [rdi], rax; imul rcx, [rsi]; vaddps; ret; nop
-    counts, unknown = classified(
+    counts, unknown = classify(
         read_profile(["ob=x", *(f"0x{a:x} 0 10" for a in (0, 3, 7, 11, 12, 99))])["x"], [(0, text)]
     )
     assert (counts.adds, counts.mults, counts.reads, counts.writes) == (20, 10, 10 + 10 + 10 + 10, 10)
@@ -222,10 +222,10 @@ def test_the_profiled_process_searches_before_it_counts(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(machine.missing() is not None, reason=str(machine.missing()))
+@pytest.mark.skipif(machine.reason_unavailable() is not None, reason=str(machine.reason_unavailable()))
 def test_machine_counts_repeat_and_grow_with_the_image() -> None:
     codec = Jpeg.create(quality=75)
-    small, again, large = (machine.executed(codec, textured(height, 320, 1)) for height in (160, 160, 320))
+    small, again, large = (machine.count_executed(codec, textured(height, 320, 1)) for height in (160, 160, 320))
     for direction in ("encode", "decode"):
         assert small[direction].total == pytest.approx(again[direction].total, rel=2e-3)
         assert 1.5 < large[direction].mults / small[direction].mults < 2.5

@@ -16,14 +16,14 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from codecbench.core.contracts.evaluator import CodedFrame
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Frame
-from codecbench.plugins.evaluators.quality import Quality
-from codecbench.plugins.evaluators.quality.psnr import psnr_db
-from codecbench.plugins.evaluators.quality.ssim import (
+from codecbench.plugins.evaluators.fidelity import (
     SCALE_WEIGHTS,
     gaussian_window,
     multiscale_similarity,
+    psnr_db,
     similarity,
 )
+from codecbench.plugins.evaluators.quality import Quality
 
 
 def pairs() -> list[tuple[Image, Image]]:

@@ -29,7 +29,7 @@ from codecbench.plugins.evaluators.relative_pose.two_view import (
     near_epipolar_lines,
     pose_error_deg,
 )
-from codecbench.plugins.evaluators.true_poses import true_poses
+from codecbench.plugins.evaluators.trajectory.alignment import true_poses
 
 CAMERA = Camera(VIEW.width, VIEW.height, VIEW.fx, VIEW.fy, VIEW.cx, VIEW.cy)
 FRAMES = 14

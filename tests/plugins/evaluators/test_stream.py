@@ -18,8 +18,7 @@ from codecbench.core.engine.running.coding.coded_frames import CodedFrames
 from codecbench.core.engine.running.coding.encoding import encode_sequence
 from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile, write_stream
-from codecbench.plugins.evaluators.stream import Stream
-from codecbench.plugins.evaluators.stream.joining import joined_places
+from codecbench.plugins.evaluators.stream import Stream, join_places
 
 JOB = "0f" * 16
 
@@ -77,7 +76,7 @@ def test_delay_is_how_many_frames_the_encoder_held_back(hold: int, first: int, t
 
 def test_who_joins_waits_for_the_next_start(tmp_path: Path) -> None:
     frames, gop = 24, 8
-    joins = joined_places(frames, 4)
+    joins = join_places(frames, 4)
     waits = [-place % gop for place in joins]
     for params in ({}, {"hold": 5}):
         found = measured(coded(Delta.create(gop=gop, **params), moving(frames)), tmp_path, joins=4)
@@ -153,8 +152,8 @@ def test_pictures_are_whole_from_the_psnr_that_was_asked_for(whole_db: float, fr
 def test_joins_are_in_the_first_half_one_in_each_part_and_the_same_for_all() -> None:
     for packets in (2, 3, 10, 60, 301):
         for joins in (1, 4, 50):
-            places = joined_places(packets, joins)
+            places = join_places(packets, joins)
             assert len(set(places)) == len(places) == min(joins, packets // 2)
             assert 1 <= min(places) <= max(places) <= packets // 2
-            assert places == sorted(places) == joined_places(packets, joins)
-    assert joined_places(1, 5) == []
+            assert places == sorted(places) == join_places(packets, joins)
+    assert join_places(1, 5) == []

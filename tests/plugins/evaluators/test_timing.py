@@ -17,8 +17,8 @@ from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
+from codecbench.plugins.evaluators.timed_calls import time_repeatedly
 from codecbench.plugins.evaluators.timing import Timing
-from codecbench.plugins.evaluators.timing.clock import repeated
 
 pytestmark = pytest.mark.usefixtures(held_clock.__name__)
 
@@ -115,14 +115,14 @@ def test_a_fast_call_is_repeated_until_the_clock_can_tell() -> None:
         calls += 1
         CLOCK.sleep(0.001)
 
-    _, taken = repeated(call, min_ms=20)
+    _, taken = time_repeatedly(call, min_ms=20)
     assert calls == 1 + 20
     assert taken.wall_ms == pytest.approx(1.0)
     calls = 0
-    _, taken = repeated(call, min_ms=1)
+    _, taken = time_repeatedly(call, min_ms=1)
     assert (calls, taken.wall_ms) == (1, pytest.approx(1.0))
     calls = 0
-    repeated(call, min_ms=0)
+    time_repeatedly(call, min_ms=0)
     assert calls == 1
 
 

@@ -18,8 +18,7 @@ from codecbench.core.contracts.evaluator import Measurement, Outcome
 from codecbench.core.contracts.sequence import Trajectory
 from codecbench.core.engine.planning.description import without_defaults
 from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator
-from codecbench.plugins.links.constant import Constant
-from codecbench.plugins.links.ideal import Ideal
+from codecbench.plugins.links.constant import Constant, Ideal
 
 COUNT = 60
 

@@ -10,7 +10,7 @@ from synthetic_path import helix, part
 
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.sequence import Trajectory
-from codecbench.plugins.evaluators.true_poses import rotation_angles_deg, true_poses
+from codecbench.plugins.evaluators.trajectory.alignment import rotation_angles_deg, true_poses
 
 
 def sequence(truth: Trajectory | None) -> MemorySequence:

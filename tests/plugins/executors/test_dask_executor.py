@@ -135,7 +135,7 @@ def test_a_worker_that_dies_has_its_tasks_tried_again_and_a_deadly_task_given_up
         assert victim not in {one.value for one in found.values()}
         deadly = outcomes(executor, Task("deadly", kill_worker, None))["deadly"]
         assert deadly.status == "crashed"
-        assert "every worker that tried it died" in deadly.reason
+        assert "(KilledWorker" in deadly.reason
         assert outcomes(executor, Task("after", slow_pid, 0.0))["after"].status == "ok"
 
 
@@ -162,7 +162,7 @@ def test_a_cluster_without_workers_is_told_in_time(bench: Bench) -> None:
         with started(params) as executor:
             assert outcomes(executor, Task("a", slow_pid, 0.0))["a"].status == "ok"
             os.kill(cluster.workers[0], signal.SIGKILL)
-            with pytest.raises(CodecbenchError, match=r"no dask worker at tcp://.* for 8 s; what is finished is kept"):
+            with pytest.raises(CodecbenchError, match=f"worker at {re.escape(cluster.address)} for 8 s"):
                 outcomes(executor, Task("b", slow_pid, 0.0))
 
 
@@ -327,14 +327,14 @@ def test_a_sequence_that_differs_on_the_workers_is_told(bench: Bench) -> None:
     bench.run(plan)
     [(_, record)] = bench.records(plan).values()
     assert record.status == "failed"
-    assert "stack has changed since the plan was made" in record.reason
+    assert "stack has changed" in record.reason
 
 
 @pytest.mark.parametrize(
     ("params", "told"),
     [
-        ({"options": {"surprise": 1}}, "cannot make the local cluster with LocalCluster: TypeError"),
-        ({"cluster": "ssh"}, "cannot make the ssh cluster with SSHCluster: ValueError: `hosts` must be"),
+        ({"options": {"surprise": 1}}, "local .*LocalCluster: TypeError"),
+        ({"cluster": "ssh"}, "SSHCluster: ValueError: `hosts`"),
     ],
 )
 def test_a_cluster_that_cannot_be_made_is_told(params: dict[str, Any], told: str) -> None:
@@ -357,10 +357,10 @@ def test_a_cluster_on_this_machine_listens_on_the_loopback_alone() -> None:
 
 
 def test_contradicting_parameters_and_unreachable_clusters_are_told() -> None:
-    with pytest.raises(ValidationError, match="either address, or cluster"):
+    with pytest.raises(ValidationError, match="address, or cluster"):
         DaskParams(address="tcp://127.0.0.1:1", cluster="local")
     with (
-        pytest.raises(CodecbenchError, match=r"no dask worker at tcp://127\.0\.0\.1:9"),
+        pytest.raises(CodecbenchError, match=r"worker at tcp://127\.0\.0\.1:9"),
         started(DaskParams(address="tcp://127.0.0.1:9", start_timeout_s=1.0)),
     ):
         pass

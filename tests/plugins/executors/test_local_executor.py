@@ -24,7 +24,7 @@ from codecbench.core.contracts.executor import Finished, Task
 from codecbench.core.contracts.held_folder import left_running
 from codecbench.plugins.executors import pool
 from codecbench.plugins.executors.local import LocalExecutor
-from codecbench.plugins.executors.process_tree import runs
+from codecbench.plugins.executors.process_tree import is_running
 
 
 def prepare() -> None:
@@ -194,14 +194,15 @@ def test_values_come_back_from_reused_workers(executor: LocalExecutor) -> None:
 
 
 def test_an_exception_is_failed_with_its_traceback(executor: LocalExecutor) -> None:
-    found = beside_others(executor, Task("bad", fail, "wrong\nin two lines"))
-    assert (found.status, found.reason) == ("failed", "ValueError: wrong in two lines")
+    found = beside_others(executor, Task("bad", fail, "two\nlines"))
+    assert (found.status, found.reason) == ("failed", "ValueError: two lines")
     assert "in fail" in found.traceback
 
 
 def test_a_segfault_names_its_signal_and_where_it_was(executor: LocalExecutor) -> None:
     found = beside_others(executor, Task("bad", segfault, None))
-    assert (found.status, found.reason) == ("crashed", "its worker died of SIGSEGV")
+    assert found.status == "crashed"
+    assert "died of SIGSEGV" in found.reason
     assert "segfault" in found.traceback
 
 
@@ -260,12 +261,12 @@ def test_a_process_that_a_task_leaves_for_the_next_one_is_not_ended(executor: Lo
     left = outcomes(executor, Task("leave", leave_for_the_next, None))["leave"].value
     found = outcomes(executor, *(Task(str(n), fork_and_return, None) for n in range(4)))
     _expect_gone(*(one.value for one in found.values()))
-    assert runs(left)
+    assert is_running(left)
     os.kill(left, signal.SIGKILL)
 
 
 def _expect_gone(*pids: int) -> None:
-    while any(map(runs, pids)):
+    while any(map(is_running, pids)):
         time.sleep(0.02)
 
 
@@ -426,7 +427,7 @@ def test_a_worker_that_is_lost_with_its_server_is_not_blamed(executor: LocalExec
     while len(ends) < 2:
         ends += filter(None, [executor.next_finished(1.0)])
     assert {(end.task_id, end.status) for end in ends} == {("innocent", "crashed"), ("culprit", "crashed")}
-    assert all("lost with the process that starts workers" in end.reason for end in ends)
+    assert all("worker was lost" in end.reason for end in ends)
     assert beside_others(executor, Task("next", double, 4)).value == 8
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from codecbench.plugins.executors.worker_folder import WorkerFolder
+from codecbench.plugins.executors.isolation import WorkerFolder
 
 
 def test_workers_have_files_of_their_own_which_go_with_the_folder(tmp_path: Path) -> None:
@@ -31,7 +31,7 @@ def test_a_new_folder_sweeps_those_that_nobody_holds_and_no_other(tmp_path: Path
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs Linux's device that is always full")
 def test_a_full_disk_is_said_by_the_folder_that_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("codecbench.plugins.executors.worker_folder.open", _full, raising=False)
+    monkeypatch.setattr("codecbench.plugins.executors.isolation.open", _full, raising=False)
     with pytest.raises(OSError, match="No space left") as failure:
         WorkerFolder(str(tmp_path))
     assert failure.value.filename == str(tmp_path)

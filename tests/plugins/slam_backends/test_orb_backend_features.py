@@ -42,9 +42,9 @@ def test_there_is_room_for_what_the_backend_looks_for() -> None:
     with pytest.raises(Unsupported, match=message):
         Orb.create(features=100).run_features([frame], CAMERA, seed=0)
     high = replace(features, octaves=np.full(len(features), 8, np.int32))
-    with pytest.raises(Unsupported, match=r"1000 features of 8 levels, and gets \d+ of 9"):
+    with pytest.raises(Unsupported, match=r"1000 features .*8 levels, .* \d+ of 9"):
         Orb.create().run_features([replace(frame, features=high)], CAMERA, seed=0)
-    with pytest.raises(SlamError, match="orb got no frame"):
+    with pytest.raises(SlamError, match="got no frame"):
         Orb.create().run_features([], CAMERA, seed=0)
 
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from map_scenes import FACTORS
@@ -62,7 +64,10 @@ def test_a_map_that_explains_what_follows_stays(rng: np.random.Generator) -> Non
 
 def test_a_map_is_dropped_where_a_rotation_explains_what_follows(rng: np.random.Generator) -> None:
     scene = Scene(rng)
-    assert "of what a rotation leaves of the matches" in trial(scene).rejection_reason(scene.frame(still=True))
+    objection = trial(scene).rejection_reason(scene.frame(still=True))
+    said = r"the map leaves (\d+) % of what a rotation leaves of the matches with its first frame"
+    assert (share := re.fullmatch(said, objection))
+    assert int(share[1]) > 100 * thresholds.TRIAL_MISFIT
 
 
 def test_what_a_map_explained_before_speaks_for_it(rng: np.random.Generator) -> None:

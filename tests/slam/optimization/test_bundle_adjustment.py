@@ -202,7 +202,7 @@ def test_all_cameras_fixed_still_moves_the_points(rng: np.random.Generator) -> N
     ("change", "message"),
     [
         ({"camera_indices": np.full(400, 99)}, "camera_indices span 99..99; allowed 0..5"),
-        ({"point_indices": np.full(400, -1)}, "point_indices span -1..-1; allowed 0..79"),
+        ({"point_indices": np.full(400, -1)}, r"point_indices .* -1\.\.-1; .* 0\.\.79"),
         ({"pixels": np.full((400, 2), np.nan)}, "pixels holds a value that is not finite"),
         ({"inverse_sigma2": np.full(400, -1.0)}, "negative"),
         ({"intrinsics": np.ones(3)}, r"intrinsics has shape \(3,\); expected \(4,\)"),

@@ -154,9 +154,9 @@ def test_nothing_to_do(fixed: bool) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"edges": np.array([[0, 5]])}, "edges span nodes 0..5; allowed 0..2"),
+        ({"edges": np.array([[0, 5]])}, r"edges .* 0\.\.5; .* 0\.\.2"),
         ({"edges": np.array([[1, 1]])}, "to itself"),
-        ({"measurements": np.zeros((1, 4, 4))}, "measurements hold a matrix that is no similarity"),
+        ({"measurements": np.zeros((1, 4, 4))}, "measurements .* no similarity"),
         ({"measurements": np.full((1, 4, 4), np.nan)}, "not finite"),
         ({"measurements": np.zeros((2, 4, 4))}, "measurements has shape"),
         ({"fixed": np.zeros(2, dtype=bool)}, "fixed has shape"),

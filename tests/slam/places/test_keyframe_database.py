@@ -63,7 +63,7 @@ def test_an_empty_index_and_an_empty_bag(rng: np.random.Generator) -> None:
 def test_misuse_is_refused(rng: np.random.Generator) -> None:
     database = KeyframeDatabase(WORDS)
     database.add(3, random_bag(rng))
-    with pytest.raises(ValueError, match="keyframe 3 is negative or indexed"):
+    with pytest.raises(ValueError, match=r"keyframe 3 .*indexed"):
         database.add(3, random_bag(rng))
     with pytest.raises(ValueError, match=r"allowed 0\.\.299"):
         database.add(4, BowVector(np.array([300]), np.ones(1)))

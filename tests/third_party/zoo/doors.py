@@ -5,6 +5,8 @@ Those of which nothing is said offer a codec called as they are.
 
 from __future__ import annotations
 
+from codecbench_zoo.cases import ENDED, NO_ANSWER, NONSENSE
+
 OFFER = """
 from codecbench import PluginSpec, hookimpl
 
@@ -21,14 +23,14 @@ def codecbench_codecs():
 
 DOORS: dict[str, tuple[str, str]] = {
     "exits": ("import sys\nsys.exit(0)", "SystemExit: 0"),
-    "leaves": ("import os\nos._exit(0)", "it ended its process with status 0"),
+    "leaves": ("import os\nos._exit(0)", ENDED + "with status 0"),
     "raises": ("raise RuntimeError('\\x1b[31mred')", "RuntimeError: \\x1b[31mred"),
     "interrupts": ("raise KeyboardInterrupt", "KeyboardInterrupt"),
-    "sleeps": ("import time\ntime.sleep(3600)", "no answer within "),
-    "spins": ("while True:\n    pass", "no answer within "),
-    "stops": ("import os\nos.kill(os.getpid(), 19)", "no answer within "),
-    "dies": ("import os\nos.kill(os.getpid(), 9)", "it ended its process by SIGKILL"),
-    "segfaults": ("import ctypes\nctypes.string_at(0)", "it ended its process by SIGSEGV"),
+    "sleeps": ("import time\ntime.sleep(3600)", NO_ANSWER),
+    "spins": ("while True:\n    pass", NO_ANSWER),
+    "stops": ("import os\nos.kill(os.getpid(), 19)", NO_ANSWER),
+    "dies": ("import os\nos.kill(os.getpid(), 9)", ENDED + "by SIGKILL"),
+    "segfaults": ("import ctypes\nctypes.string_at(0)", ENDED + "by SIGSEGV"),
     "broken": ("def (", "SyntaxError"),
     "incomplete": ("import not_there", "ModuleNotFoundError"),
     "recurses": ("def again():\n    again()\nagain()", "RecursionError"),
@@ -40,48 +42,48 @@ DOORS: dict[str, tuple[str, str]] = {
     "unhooked": (_SPECS + "[][0]", "codecbench_codecs failed: IndexError"),
     "hook_exits": (_SPECS + "__import__('sys').exit(0)", "SystemExit: 0"),
     "silent": (_SPECS + "7", "returned 7; it returns a list of PluginSpec"),
-    "textual": (_SPECS + "'jpeg'", "returned 'jpeg'; it returns a list of PluginSpec"),
+    "textual": (_SPECS + "'jpeg'", "returned 'jpeg'; "),
     "numbered": (_SPECS + "[PluginSpec(5, 'a.b:C', '')]", "codec name 5 is not of the form"),
-    "slashed": (_SPECS + "[PluginSpec('../jpeg', 'a.b:C', '')]", "codec name '../jpeg' is not of the form"),
-    "controlled": (_SPECS + "[PluginSpec('\\x1b[2J', 'a.b:C', '')]", "codec name '\\x1b[2J' is not of the form"),
+    "slashed": (_SPECS + "[PluginSpec('../jpeg', 'a.b:C', '')]", "codec name '../jpeg' "),
+    "controlled": (_SPECS + "[PluginSpec('\\x1b[2J', 'a.b:C', '')]", "codec name '\\x1b[2J' "),
     "long": (_SPECS + "[PluginSpec('a' * 10_000, 'a.b:C', '')]", "codec name 'aaaa"),
     "untargeted": (
         _SPECS + "[PluginSpec('untargeted', 'nowhere', '')]",
         "target 'nowhere' is not package.module:Class",
     ),
-    "targets_none": (_SPECS + "[PluginSpec('targets_none', None, '')]", "target None is not package.module:Class"),
+    "targets_none": (_SPECS + "[PluginSpec('targets_none', None, '')]", "target None "),
     "thief": (_SPECS + "[PluginSpec('jpeg', 'a.b:C', '')]", "codec 'jpeg' is already offered by codecbench"),
-    "twice": (_SPECS + "[PluginSpec('paired', 'a.b:C', '')] * 2", "codec 'paired' is already offered by"),
+    "twice": (_SPECS + "[PluginSpec('paired', 'a.b:C', '')] * 2", "codec 'paired' "),
     "requires": (_SPECS + "[PluginSpec('requires', 'a.b:C', '', requires=7)]", "requires is 7"),
     "summarised": (_SPECS + "[PluginSpec('summarised', 'a.b:C', object())]", "summary is <object"),
     "swarm": (_SPECS + "[PluginSpec(f'p{n}', 'a.b:C', '') for n in range(10**5)]", "offers 100,000 plugins"),
     "forged": (
         "import os\nfor fd in range(3, 64):\n    try:\n        os.write(fd, b'{\"value\": 3}\\n')\n"
         "    except OSError:\n        pass\nos._exit(0)",
-        "it answered nonsense",
+        NONSENSE,
     ),
     "forged_error": (
         "import os\nfor fd in range(3, 64):\n    try:\n        os.write(fd, b'{\"error\": 3}\\n')\n"
         "    except OSError:\n        pass\nos._exit(0)",
-        "it answered nonsense",
+        NONSENSE,
     ),
-    "slams": ("import os\nos.closerange(0, 1024)", "it ended its process with status 1"),
+    "slams": ("import os\nos.closerange(0, 1024)", ENDED + "with status 1"),
     "trickles": (
         "import os, signal, time\nsignal.signal(signal.SIGALRM, signal.SIG_IGN)\nwhile time.sleep(1e-3) is None:\n"
         "    for fd in range(3, 16):\n        try:\n            os.write(fd, b' ')\n"
         "        except OSError:\n            pass",
-        "no answer within ",
+        NO_ANSWER,
     ),
     "orphans": (
         "import os, signal\nos.kill(os.getppid(), signal.SIGKILL)\nsignal.pause()",
-        "it ended its process by SIGKILL",
+        ENDED + "by SIGKILL",
     ),
     "forks": ("import os\nos.fork()", ""),
     "breeds": ("import os\nfor _ in range(4):\n    os.fork()", ""),
     "prints": ("print('hello from a door\\n' * 10**6)\nimport sys\nprint('hello from a door', file=sys.stderr)", ""),
     "patches": (
         "import builtins, json, numpy\njson.dumps = builtins.open = numpy.mean = lambda *_, **__: 42.0",
-        "it ended its process with status 1",
+        ENDED + "with status 1",
     ),
     "lingers": (
         "import atexit, threading, time\natexit.register(time.sleep, 3600)\n"

@@ -1,4 +1,4 @@
-"""How much work a codec does: counted in its kernels, computed from the paper's model, or executed."""
+"""The `operations` evaluator: operations counted in kernels, by the paper's formulas, or as executed instructions."""
 
 from codecbench.plugins.evaluators.operations.evaluator import Operations
 

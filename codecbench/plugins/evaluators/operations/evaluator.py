@@ -1,8 +1,8 @@
-"""The `operations` evaluator: three families of counts that share their classes and are never mixed.
+"""The `operations` evaluator counts operations in three families, which share their classes and are never mixed.
 
-`source`: what the codec's kernels do, counted in their source; only for codecs that run all their arithmetic
-in kernels. `model`: the paper's closed formulas for the frame's size. `machine`: instructions executed,
-classified one by one. A family that a codec does not have is missing, never zero.
+`source`: operations in the source of the codec's kernels, only for codecs that run all their arithmetic in kernels.
+`model`: the paper's closed formulas for the frame's size. `machine`: executed instructions, classified one by one.
+A family that a codec does not have is missing, never zero.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from codecbench.core.contracts.sequence import FrameSequence
 from codecbench.core.contracts.view import View
 from codecbench.core.counting.operations import CLASSES, COUNTERS, OperationCounts
 from codecbench.core.counting.trace import CountingTrace
-from codecbench.plugins.evaluators.operations import codec_models, machine
+from codecbench.plugins.evaluators.operations import machine, model
 from codecbench.plugins.evaluators.operations.model import PAPER_NONZERO_SHARE, Plane, Stages
 from codecbench.plugins.evaluators.sampling import evenly_spread
 
-_OTHERWISE = "{}: the counting build gives other results than the fast build"
+_COUNTING_DIFFERS = "{}: the counting build gives other results than the fast build"
 Family = Literal["source", "model", "machine"]
 _FAMILIES: tuple[Family, ...] = ("source", "model", "machine")
 
@@ -48,14 +48,14 @@ _LABELS = {
     "mults": "multiplications", "adds": "additions", "bit_ops": "bitwise operations", "total": "operations",
     "index_ops": "index arithmetic",
 }  # fmt: skip
-_BESIDE = {"source": COUNTERS[len(CLASSES) :], "model": (), "machine": ("divisions",)}
+_EXTRA_COUNTERS = {"source": COUNTERS[len(CLASSES) :], "model": (), "machine": ("divisions",)}
 
 
 def _names(family: Family) -> tuple[str, ...]:
-    return (*CLASSES, "total", *_BESIDE[family])
+    return (*CLASSES, "total", *_EXTRA_COUNTERS[family])
 
 
-def _ordered(families: tuple[Family, ...]) -> tuple[Family, ...]:
+def _sort_families(families: tuple[Family, ...]) -> tuple[Family, ...]:
     if not families:
         raise ValueError(f"at least one of {', '.join(_FAMILIES)}")
     return tuple(family for family in _FAMILIES if family in families)
@@ -68,7 +68,7 @@ class OperationsParams(Params):
     `nonzero_share` of JPEG's coefficients: the paper's 0.2, or measured on the frame.
     """
 
-    families: Annotated[tuple[Family, ...], AfterValidator(_ordered)] = ("source", "model")
+    families: Annotated[tuple[Family, ...], AfterValidator(_sort_families)] = ("source", "model")
     frames: Annotated[int, Field(ge=1)] = 1
     planes: Literal["paper", "all"] = "paper"
     nonzero_share: Literal["paper", "measured"] = "paper"
@@ -115,19 +115,19 @@ class Operations(CodecEvaluator[OperationsParams]):
             for family in families:
                 for stage, counts in self._count(family, codec, image).items():
                     yield from _measurements(family, counts, index, stage)
-        if "machine" in self.params.families and (reason := machine.missing()):
+        if "machine" in self.params.families and (reason := machine.reason_unavailable()):
             for direction in ("encode", "decode"):
                 for name in _names("machine"):
                     yield Measurement(f"machine_{name}", math.nan, stage=direction, reason=reason)
 
     def _available(self, codec: AnyCodec[Any]) -> list[Family]:
-        """The requested families that there are for this codec here; Unsupported, with reasons, if none."""
+        """The requested families that this codec has here. Raises Unsupported, with reasons, if there are none."""
         reasons: dict[Family, str | None] = {
             "source": None
             if codec.capabilities.counts_operations
             else f"{codec.name} is opaque: it has no kernels to count",
             "model": None if self._has_model(codec) else f"the paper has no model of {codec.name} with this setting",
-            "machine": machine.missing(),
+            "machine": machine.reason_unavailable(),
         }
         available = [family for family in self.params.families if reasons[family] is None]
         if not available:
@@ -135,54 +135,55 @@ class Operations(CodecEvaluator[OperationsParams]):
         return available
 
     def _has_model(self, codec: AnyCodec[Any]) -> bool:
-        return codec_models.has_model(codec.name, codec.params.model_dump())
+        return model.has_model(codec.name, codec.params.model_dump())
 
     def _count(self, family: Family, codec: AnyCodec[Any], image: Image) -> dict[str, OperationCounts]:
         if family == "source":
-            return _with_totals(*source_counts(codec, image))
+            return _add_totals(*source_counts(codec, image))
         if family == "model":
-            return _with_totals(*self._modelled(codec, image))
-        counts: dict[str, OperationCounts] = codec.at_encoder(machine.executed, image)
+            return _add_totals(*self._model_stages(codec, image))
+        counts: dict[str, OperationCounts] = codec.at_encoder(machine.count_executed, image)
         return counts
 
-    def _modelled(self, codec: AnyCodec[Any], image: Image) -> tuple[Stages, Stages]:
+    def _model_stages(self, codec: AnyCodec[Any], image: Image) -> tuple[Stages, Stages]:
         values = codec.params.model_dump()
         height, width = image.shape[:2]
-        every = self.params.planes == "all"
-        planes = codec_models.coded_planes(image, values) if every else [Plane(width, height)]
+        all_planes = self.params.planes == "all"
+        planes = model.coded_planes(image, values) if all_planes else [Plane(width, height)]
         share = PAPER_NONZERO_SHARE
         if self.params.nonzero_share == "measured" and codec.name.startswith("jpeg") and codec.name != "jpeg2000":
-            share = codec_models.measured_nonzero_share(image, codec.encode(image))
-        return codec_models.modelled(codec.name, values, planes, share)
+            share = model.measure_nonzero_share(image, codec.encode(image))
+        return model.model_stages(codec.name, values, planes, share)
 
 
 def source_counts(codec: AnyCodec[Any], image: Image) -> tuple[Stages, Stages]:
-    """What the codec's kernels do to encode and to decode an image, by stage.
+    """Operations of the codec's kernels to encode and to decode an image, by stage.
 
-    Raises RuntimeError where counting changes the bitstream or the decoded image.
+    Raises RuntimeError if counting changes the bitstream or the decoded image.
     """
-    bitstream, encoding = codec.at_encoder(counted_encoding, image)
-    return encoding, codec.at_decoder(counted_decoding, bitstream)
+    bitstream, encoding = codec.at_encoder(count_encoding, image)
+    return encoding, codec.at_decoder(count_decoding, bitstream)
 
 
-def counted_encoding(codec: AnyCodec[Any], image: Image) -> tuple[bytes, Stages]:
-    """The bitstream of an image, and what encoding it takes."""
+def count_encoding(codec: AnyCodec[Any], image: Image) -> tuple[bytes, Stages]:
+    """The bitstream of an image, and the operations of encoding it, by stage."""
     trace, prepared = CountingTrace(), codec.prepared(image)
     bitstream = prepared.encode(image, trace=trace)
     if bitstream != prepared.encode(image):
-        raise RuntimeError(_OTHERWISE.format(codec.name))
+        raise RuntimeError(_COUNTING_DIFFERS.format(codec.name))
     return bitstream, trace.counts
 
 
-def counted_decoding(codec: AnyCodec[Any], bitstream: bytes) -> Stages:
-    """What decoding takes."""
+def count_decoding(codec: AnyCodec[Any], bitstream: bytes) -> Stages:
+    """The operations of decoding, by stage."""
     trace = CountingTrace()
     if not np.array_equal(codec.decode(bitstream, trace=trace), codec.decode(bitstream)):
-        raise RuntimeError(_OTHERWISE.format(codec.name))
+        raise RuntimeError(_COUNTING_DIFFERS.format(codec.name))
     return trace.counts
 
 
-def _with_totals(encoding: Stages, decoding: Stages) -> Stages:
+def _add_totals(encoding: Stages, decoding: Stages) -> Stages:
+    """All stages as `encode/...` and `decode/...`, with the totals `encode` and `decode`."""
     stages: Stages = {}
     for direction, parts in (("encode", encoding), ("decode", decoding)):
         stages |= {f"{direction}/{name}": counts for name, counts in parts.items()}

@@ -1,13 +1,12 @@
-"""Runs a codec once under callgrind, counting only the encoding and then only the decoding.
+"""Runs a codec once under callgrind, and counts only the encoding and then only the decoding.
 
-Callgrind is told when to count by client requests: a fixed sequence of instructions that does nothing on a
-processor and that valgrind recognises (valgrind.h, "special instruction preamble"). Ours is put into memory by
-hand, so that no compiler is needed.
+Client requests start and stop the counting: a fixed sequence of instructions that does nothing on a processor and
+that valgrind recognises (valgrind.h, "special instruction preamble"). This module writes the sequence into memory
+itself, so that no compiler is needed.
 
-valgrind's own command for this, `callgrind_control`, can be run from here instead, without a byte of machine code.
-It was measured beside on JPEG, 320x240: every count was 0.9 % higher (16,000 instructions, of starting and awaiting
-the command while counting is on), and a cell took 4 s longer. `--toggle-collect` counts by names of C functions,
-which neither compiled kernels nor calls from Python have.
+The alternatives are worse. valgrind's command `callgrind_control` makes every count 0.9 % higher on JPEG, 320x240
+(16,000 instructions to start and await the command while counting is on), and a cell takes 4 s longer.
+`--toggle-collect` counts by names of C functions, which neither compiled kernels nor calls from Python have.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _PREAMBLE = bytes.fromhex(
 
 
 class Callgrind:
-    """The callgrind that this process runs under."""
+    """The callgrind under which this process runs."""
 
     def __init__(self) -> None:
         self._code = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
@@ -49,7 +48,7 @@ class Callgrind:
         self._call((ctypes.c_uint64 * 6)(number, argument))
 
     def profile(self, function: Any, argument: Any, label: str) -> Any:
-        """Call `function`, and write a profile of nothing else."""
+        """Call `function`, and write a profile of this call alone."""
         text = ctypes.create_string_buffer(label.encode())
         gc.collect()
         gc.disable()
@@ -63,7 +62,7 @@ class Callgrind:
 
 
 def code_in_memory() -> list[tuple[int, bytes]]:
-    """Executable memory that belongs to no file, which is where compiled kernels are: (address, bytes)."""
+    """Executable memory that belongs to no file, such as compiled kernels, as (address, bytes)."""
     pieces = []
     for line in Path("/proc/self/maps").read_text().splitlines():
         fields = line.split()
@@ -74,8 +73,8 @@ def code_in_memory() -> list[tuple[int, bytes]]:
 
 
 def main(folder: Path) -> None:
-    """Run the task in `folder` and leave the code of kernels beside the profiles."""
-    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)  # do not outlive a cell that is given up
+    """Run the task in `folder` and write the code of the kernels beside the profiles."""
+    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)  # end with the cell if that is aborted
     codec_type, params, image = pickle.loads((folder / "task.pickle").read_bytes())
     codec = codec_type(params)
     codec.decode(codec.encode(image))

@@ -2,23 +2,31 @@
 
 Salih and Vasarhelyi, "End-to-End Multi-Level Encoding Methods of Visual Data Compression for Robust Monocular
 Visual ORB-SLAM", Tables 4, 5 and 6, print numbers for one 640x480 plane and no formulas. Those here follow
-from the numbers and give every one of them. The paper's conventions are kept though they contradict each
+from the numbers and reproduce each of them. The paper's conventions are kept although they contradict each
 other: one 8-point product stands for a whole 8x8 transform, its additions are 112 a block for JPEG and 56
-for the multi-level method, and five tests a coefficient stand for the search. Only for planes whose sides
-are no multiple of 8, 16 or 64 is there a choice, and it is ours: parts of blocks count as blocks.
+for the multi-level method, and five tests a coefficient stand for the search. The one choice of ours concerns
+planes whose sides are no multiple of 8, 16 or 64: partial blocks count as blocks.
 """
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from scipy.fft import dctn
+
+from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.counting.operations import OperationCounts
 
 Stages = dict[str, OperationCounts]
 """Operations by stage, in the order in which the stages run."""
 
 PAPER_NONZERO_SHARE = 0.2
-"""The share of quantised coefficients that the paper takes to be nonzero; on real frames it is 0.04 to 0.09."""
+"""The share of quantised coefficients that the paper assumes to be nonzero; on real frames it is 0.04 to 0.09."""
 
 _DWT_LEVELS = 5
 _CODE_BLOCK_SIDE = 64
@@ -26,7 +34,7 @@ _CODE_BLOCK_SIDE = 64
 
 @dataclass(frozen=True)
 class Plane:
-    """One plane of samples that is coded."""
+    """A plane of samples."""
 
     width: int
     height: int
@@ -42,7 +50,7 @@ class Plane:
 
     @property
     def subband_samples(self) -> int:
-        """S: samples that all levels of the wavelet transform go through."""
+        """S: samples that all levels of the wavelet transform process."""
         return sum(-(-self.width // 2**level) * -(-self.height // 2**level) for level in range(_DWT_LEVELS))
 
 
@@ -107,7 +115,7 @@ def jpeg2000_decoding(plane: Plane) -> Stages:
 
 
 def _symbols(plane: Plane, levels: int, group: int) -> list[int]:
-    """Symbols before the first level, after it, and so on."""
+    """The number of symbols before the first level, after it, and so on."""
     counts = [plane.samples]
     for _ in range(levels):
         counts.append(-(-counts[-1] // group))
@@ -119,7 +127,7 @@ def _level_name(stage: str, level: int) -> str:
 
 
 def multilevel_encoding(plane: Plane, levels: int = 1, group: int = 3) -> Stages:
-    """Table 6, upper half; a level above the first, which the paper does not count, costs as the first does."""
+    """Table 6, upper half. The paper does not count levels above the first; they are taken to cost the same."""
     n, symbols = plane.samples, _symbols(plane, levels, group)
     stages = {
         "dct": _counts(n, 56 * plane.blocks(8), n, plane.blocks(8), 0, n, n),
@@ -132,10 +140,10 @@ def multilevel_encoding(plane: Plane, levels: int = 1, group: int = 3) -> Stages
 
 
 def multilevel_decoding(plane: Plane, levels: int = 1, group: int = 3, search: bool = True) -> Stages:
-    """Table 6, lower half, which searches.
+    """Table 6, lower half, which is decoding by search.
 
-    With the header instead (`search` false), which the paper calls instant and does not count, each symbol is
-    taken to cost a read of itself and a copy of its digits: this one formula is ours.
+    The paper calls decoding with the header (`search` false) instant and does not count it. Our formula for it takes
+    each symbol to cost a read of itself and a copy of its digits.
     """
     n, symbols = plane.samples, _symbols(plane, levels, group)
     stages = {"arithmetic_decoding": _times(symbols[-1], 0, 1, 8, 1, 8, 1, 1)}
@@ -149,3 +157,65 @@ def multilevel_decoding(plane: Plane, levels: int = 1, group: int = 3, search: b
         "dequantization": _counts(n, 0, n, plane.blocks(8), 0, n + 64, n),
         "idct": _counts(n, 56 * plane.blocks(8), 8 * plane.blocks(8), plane.blocks(8), 0, n, n),
     }
+
+
+_CHROMA_DIVISORS = {"422": (2, 1), "420": (2, 2), "ycbcr420": (2, 2)}
+"""Horizontal and vertical subsampling factors of chroma, for formats that have any."""
+
+_JPEGS = ("jpeg", "jpeg_qf")
+
+
+def has_model(codec: str, params: dict[str, Any]) -> bool:
+    """Whether the paper has formulas for this setting; it has none for the reversible wavelet."""
+    return codec in (*_JPEGS, "multilevel") or (codec == "jpeg2000" and bool(params.get("irreversible", True)))
+
+
+def coded_planes(image: Image, params: dict[str, Any]) -> list[Plane]:
+    """The planes of an image that a codec with these parameters codes."""
+    height, width = image.shape[:2]
+    sampling = str(params.get("color") or params.get("subsampling") or "444")
+    if channel_count(image) == 1 or sampling == "gray":
+        return [Plane(width, height)]
+    across, down = _CHROMA_DIVISORS.get(sampling, (1, 1))
+    chroma = Plane(-(-width // across), -(-height // down))
+    return [Plane(width, height), chroma, chroma]
+
+
+def model_stages(
+    codec: str, params: dict[str, Any], planes: list[Plane], nonzero_share: float
+) -> tuple[Stages, Stages]:
+    """Encoding and decoding stages of a codec for which `has_model` is true, summed over planes."""
+    encoding, decoding = zip(*(_plane_model(codec, params, plane, nonzero_share) for plane in planes), strict=True)
+    return _sum_planes(encoding), _sum_planes(decoding)
+
+
+def _sum_planes(stages: tuple[Stages, ...]) -> Stages:
+    return {name: OperationCounts.sum(plane[name] for plane in stages) for name in stages[0]}
+
+
+def _plane_model(codec: str, params: dict[str, Any], plane: Plane, nonzero_share: float) -> tuple[Stages, Stages]:
+    if codec in _JPEGS:
+        return jpeg_encoding(plane, nonzero_share), jpeg_decoding(plane, nonzero_share)
+    if codec == "jpeg2000":
+        return jpeg2000_encoding(plane), jpeg2000_decoding(plane)
+    levels, group = int(params.get("levels", 1)), int(params.get("group", 3))
+    search = params.get("decoding") == "search"
+    return (
+        multilevel_encoding(plane, levels, group),
+        multilevel_decoding(plane, levels, group, search),
+    )
+
+
+def measure_nonzero_share(image: Image, bitstream: bytes) -> float:
+    """Share of the luma coefficients that are nonzero after quantisation by the steps of a JPEG file."""
+    steps = np.array(PillowImage.open(io.BytesIO(bitstream)).quantization[0], dtype=np.float64)  # type: ignore[attr-defined]
+    return nonzero_share(gray_from_image(image), steps.reshape(8, 8))
+
+
+def nonzero_share(gray: Image, steps: NDArray[np.float64]) -> float:
+    """Share of round(C / steps) that is nonzero, for the 8x8 DCT of a (H, W) plane minus 128. steps: (8, 8)."""
+    height, width = gray.shape
+    padded = np.pad(gray.astype(np.float64) - 128.0, ((0, -height % 8), (0, -width % 8)), mode="edge")
+    blocks = padded.reshape(padded.shape[0] // 8, 8, -1, 8).swapaxes(1, 2)
+    coefficients = dctn(blocks, axes=(2, 3), norm="ortho")
+    return float(np.mean(np.abs(coefficients / steps) >= 0.5))

@@ -1,4 +1,4 @@
-"""The `relative_pose` evaluator: the motion between two decoded frames, from their matches."""
+"""The `relative_pose` evaluator estimates the motion between two decoded frames from their matches."""
 
 from codecbench.plugins.evaluators.relative_pose.evaluator import RelativePose
 

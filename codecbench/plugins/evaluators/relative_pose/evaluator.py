@@ -1,4 +1,4 @@
-"""The `relative_pose` evaluator: the motion between two decoded frames, from their matches."""
+"""The `relative_pose` evaluator estimates the motion between two decoded frames from their matches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from codecbench.plugins.evaluators.relative_pose.two_view import (
     near_epipolar_lines,
     pose_error_deg,
 )
-from codecbench.plugins.evaluators.true_poses import true_poses
+from codecbench.plugins.evaluators.trajectory.alignment import true_poses
 
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 
@@ -55,9 +55,9 @@ def _task(name: str, unit: str, better: Better, summary: str, label: str, *aggre
 
 
 class RelativePose(SequenceEvaluator[RelativePoseParams]):
-    """One pair for each frame that has one: the frame, and a later one at a baseline. docs/task-metrics.md says which.
+    """Evaluates pairs of a frame and a later one at a given baseline; docs/task-metrics.md says which.
 
-    Nothing is drawn at random, so equal frames give equal values whatever the codec is called.
+    Nothing is random, so equal frames give equal values whatever the codec.
     """
 
     name = "relative_pose"
@@ -115,26 +115,26 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         for index in range(len(coded)):
             if index not in firsts and index not in pairs:
                 continue
-            found = (
-                matcher.found(coded.features(index)) if sends_features else matcher.detect(coded.frame(index).decoded)
+            keypoints = (
+                matcher.convert(coded.features(index)) if sends_features else matcher.detect(coded.frame(index).decoded)
             )
             if index in firsts:
-                firsts[index] = found
+                firsts[index] = keypoints
             for pair in pairs.pop(index, ()):
-                yield from self._judged(
-                    pair, firsts.pop(pair.first), found, self._raw(pair, sequence, matcher), matcher
+                yield from self._judge(
+                    pair, firsts.pop(pair.first), keypoints, self._raw_correct(pair, sequence, matcher), matcher
                 )
 
     def _key(self, what: str) -> tuple[object, ...]:
-        """Names what is kept beside raw frames, with all that it depends on."""
+        """The cache key of a result for raw frames, with all that it depends on."""
         return ("relative_pose", what, self.version, *self.params.model_dump(exclude={"architecture"}).values())
 
     def _pairs(self, sequence: FrameSequence, matcher: Matcher) -> list[Pair | str]:
-        """For each frame its pair, or why it has none: the same for all settings of a codec, so that they pair."""
+        """For each frame its pair, or why it has none. All codec settings have the same pairs."""
         camera = sequence.camera
         assert camera is not None
 
-        def chosen() -> list[Pair | str]:
+        def choose_pairs() -> list[Pair | str]:
             poses = true_poses(sequence, self.params.association_s)
             distance_m = scene_distance_m(sequence, poses, matcher)
             baselines, least = self.params.baselines, self.params.min_overlap
@@ -143,31 +143,33 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
                 for first in range(len(sequence))
             ]
 
-        return sequence.read(0).cached(self._key("pairs"), lambda _: chosen())
+        return sequence.read(0).cached(self._key("pairs"), lambda _: choose_pairs())
 
-    def _raw(self, pair: Pair, sequence: FrameSequence, matcher: Matcher) -> int:
+    def _raw_correct(self, pair: Pair, sequence: FrameSequence, matcher: Matcher) -> int:
         """Correct matches of the pair's raw frames."""
 
-        def features(frame: Frame) -> KeypointSet:
+        def keypoints(frame: Frame) -> KeypointSet:
             return frame.cached(self._key("features"), matcher.detect)
 
-        def counted() -> int:
-            second = features(sequence.read(pair.second))
-            return int(self._correct(pair, *_matched(matcher, features(first), second), matcher).sum())
+        def count_correct() -> int:
+            second = keypoints(sequence.read(pair.second))
+            return int(self._correct(pair, *_match_pixels(matcher, keypoints(first), second), matcher).sum())
 
         first = sequence.read(pair.first)
-        return first.cached(self._key("correct matches"), lambda _: counted())
+        return first.cached(self._key("correct matches"), lambda _: count_correct())
 
     def _correct(self, pair: Pair, first: np.ndarray, second: np.ndarray, matcher: Matcher) -> np.ndarray:
+        """(M,) whether each match of pixels (M, 2) is correct."""
         return near_epipolar_lines(first, second, matcher.matrix, pair.second_from_first, self.params.inlier_px)
 
-    def _judged(
+    def _judge(
         self, pair: Pair, first: KeypointSet, second: KeypointSet, raw_correct: int, matcher: Matcher
     ) -> Iterator[Measurement]:
-        matched = _matched(matcher, first, second)
-        motion = estimate_motion(*matched, matcher.matrix, self.params.inlier_px)
+        """All metrics of a pair. raw_correct: correct matches of its raw frames."""
+        matches = _match_pixels(matcher, first, second)
+        motion = estimate_motion(*matches, matcher.matrix, self.params.inlier_px)
         error_deg = pose_error_deg(motion, pair.second_from_first)
-        correct = int(self._correct(pair, *matched, matcher).sum())
+        correct = int(self._correct(pair, *matches, matcher).sum())
         values = {"pose_error_deg": error_deg, "pose_inliers": motion.inliers if motion else 0}
         values |= {f"pose_auc_{limit}deg": curve_area(error_deg, limit) for limit in (5, 10, 20)}
         values |= {"correct_matches": correct}
@@ -178,7 +180,7 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         yield Measurement("matches_lost", lost, frame=pair.first, reason=reason)
 
 
-def _matched(matcher: Matcher, first: KeypointSet, second: KeypointSet) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (M, 2) of the matches in both images."""
+def _match_pixels(matcher: Matcher, first: KeypointSet, second: KeypointSet) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (M, 2) of the matches in the two images."""
     matches = matcher.match(first, second)
     return first.pixels[matches[:, 0]], second.pixels[matches[:, 1]]

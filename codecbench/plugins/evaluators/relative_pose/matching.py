@@ -1,4 +1,4 @@
-"""Features of an image, and matches between two images, as the matching literature uses them."""
+"""Keypoints of an image, and matches between two images, as usual in the literature on image matching."""
 
 from __future__ import annotations
 
@@ -22,15 +22,17 @@ Detector = Literal["orb", "sift"]
 _LEVELS: Final = 8
 _SCALE_FACTOR: Final = 1.2
 _SMALLEST_SIDE: Final = 64
-"""Pixels: on a smaller image ORB's patches of 31 pixels leave no room, and OpenCV's pyramid runs out of levels."""
+"""Pixels. A smaller image has no room for ORB's patches of 31 pixels, nor for all levels of OpenCV's pyramid."""
 
 
 @dataclass(frozen=True)
 class KeypointSet:
-    """Keypoints of an image: `pixels` (N, 2) undistorted, `descriptors` (N, 4) uint64 of ORB or (N, 128) float32."""
+    """Keypoints of an image."""
 
     pixels: NDArray[np.float64]
+    """(N, 2), undistorted."""
     descriptors: NDArray[Any]
+    """(N, 4) uint64 of ORB, or (N, 128) float32 of SIFT."""
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -40,9 +42,9 @@ NO_KEYPOINTS: Final = KeypointSet(np.empty((0, 2)), np.empty((0, 0)))
 
 
 class Matcher:
-    """Detects `keypoints` ORB or SIFT features an image, and matches two images by nearest descriptors.
+    """Detects up to `keypoints` ORB or SIFT features in an image, and matches two images by nearest descriptors.
 
-    A match is mutual, and its distance below `ratio` times that of the second best in the second image (Lowe, IJCV
+    A match is mutual, and its distance is below `ratio` times that of the second best in the second image (Lowe, IJCV
     60(2), 2004, doi:10.1023/B:VISI.0000029664.99615.94).
     """
 
@@ -58,44 +60,44 @@ class Matcher:
         self._lens = SlamCamera(*sizes, camera.distortion, camera.model)
 
     def detect(self, image: Image) -> KeypointSet:
-        """The features of an image, colour or gray."""
+        """The keypoints of an image, color or gray."""
         gray = gray_from_image(image)
-        found, descriptors = (
+        keypoints, descriptors = (
             self._detector.detectAndCompute(gray, None) if min(gray.shape) >= _SMALLEST_SIDE else ((), None)
         )
-        if not found or descriptors is None:
+        if not keypoints or descriptors is None:
             return NO_KEYPOINTS
-        return self._seen(np.asarray(cv2.KeyPoint.convert(found), dtype=np.float64), descriptors)
+        return self._undistort(np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64), descriptors)
 
-    def found(self, features: Features) -> KeypointSet:
-        """Features that were found elsewhere; Unsupported where the detector is another than ORB."""
+    def convert(self, features: Features) -> KeypointSet:
+        """The keypoints of features that a codec sent. Raises Unsupported if the detector is not ORB."""
         if not self._binary:
             raise Unsupported("binary features are received; leave `detector: sift` out, or take detector orb")
-        return self._seen(features.pixels, features.descriptors) if len(features) else NO_KEYPOINTS
+        return self._undistort(features.pixels, features.descriptors) if len(features) else NO_KEYPOINTS
 
-    def _seen(self, pixels: NDArray[np.float64], descriptors: NDArray[Any]) -> KeypointSet:
-        """Keypoints without the lens, but for those that it does not show."""
+    def _undistort(self, pixels: NDArray[np.float64], descriptors: NDArray[Any]) -> KeypointSet:
+        """Undistorted keypoints, without those at blind pixels of the lens."""
         if self._lens.has_blind_pixels:
             pixels = self._lens.undistort(pixels)
-            seen = np.isfinite(pixels[:, 0])
-            pixels, descriptors = pixels[seen], descriptors[seen]
+            visible = np.isfinite(pixels[:, 0])
+            pixels, descriptors = pixels[visible], descriptors[visible]
         elif self._distortion.any():
-            straight = cv2.undistortPoints(pixels[:, None], self.matrix, self._distortion, P=self.matrix)
-            pixels = np.asarray(straight[:, 0], dtype=np.float64)
+            undistorted = cv2.undistortPoints(pixels[:, None], self.matrix, self._distortion, P=self.matrix)
+            pixels = np.asarray(undistorted[:, 0], dtype=np.float64)
         return KeypointSet(pixels, np.ascontiguousarray(descriptors).view(np.uint64) if self._binary else descriptors)
 
     def match(self, first: KeypointSet, second: KeypointSet) -> NDArray[np.int64]:
-        """(M, 2) indices of matching keypoints, in order of the first."""
+        """(M, 2) indices of matching keypoints, in the order of the first image."""
         if min(len(first), len(second)) < 2:
             return np.empty((0, 2), np.int64)
         nearest = _nearest_bits if self._binary else _nearest_vectors
-        partners, back, clear = nearest(first.descriptors, second.descriptors, self._ratio)
-        kept = np.flatnonzero(clear & (back[partners] == np.arange(len(first))))
-        return np.column_stack([kept, partners[kept]]).astype(np.int64)
+        partners, back, distinct = nearest(first.descriptors, second.descriptors, self._ratio)
+        matches = np.flatnonzero(distinct & (back[partners] == np.arange(len(first))))
+        return np.column_stack([matches, partners[matches]]).astype(np.int64)
 
 
 def _nearest_vectors(first: Any, second: Any, ratio: float) -> tuple[Any, Any, Any]:
-    """As `_nearest_bits`, for vectors (N, D) and (M, D) at their Euclidean distance."""
+    """As `_nearest_bits`, for vectors (N, D) and (M, D) by Euclidean distance."""
     squares = np.sum(first**2, axis=1)[:, None] + np.sum(second**2, axis=1) - 2.0 * first @ second.T
     best, runner_up = np.partition(np.maximum(squares, 0.0), 1, axis=1)[:, :2].T
     return squares.argmin(axis=1), squares.argmin(axis=0), best < ratio**2 * runner_up
@@ -103,10 +105,10 @@ def _nearest_vectors(first: Any, second: Any, ratio: float) -> tuple[Any, Any, A
 
 @compiled
 def _nearest_bits(first: Any, second: Any, ratio: float) -> tuple[Any, Any, Any]:
-    """For binary descriptors (N, 4) and (M, 4): the nearest second of each first (N,) and the other way round (M,).
+    """Nearest neighbors of binary descriptors (N, 4) and (M, 4): (N,) of each first, and (M,) of each second.
 
-    Last whether the best Hamming distance is below `ratio` times the second best (N,). The lowest index wins among
-    equals.
+    The third result (N,) is whether the best Hamming distance is below `ratio` times the second best. The lowest index
+    wins among equals.
     """
     count, other_count = len(first), len(second)
     nearest, back = np.zeros(count, np.int64), np.zeros(other_count, np.int64)

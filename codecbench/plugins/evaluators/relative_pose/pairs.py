@@ -1,4 +1,4 @@
-"""Which frames are paired: by the true motion between them, in units of how far away the scene is."""
+"""Choose pairs of frames by the true motion between them, in units of the distance of the scene."""
 
 from __future__ import annotations
 
@@ -14,34 +14,37 @@ from codecbench.core.contracts.sequence import Camera, FrameSequence
 from codecbench.plugins.evaluators.relative_pose.matching import Matcher
 from codecbench.plugins.evaluators.relative_pose.two_view import near_epipolar_lines
 from codecbench.plugins.evaluators.sampling import evenly_spread
-from codecbench.plugins.evaluators.true_poses import Poses
+from codecbench.plugins.evaluators.trajectory.alignment import Poses
 from codecbench.slam.geometry.camera import Camera as SlamCamera
 from codecbench.slam.geometry.transforms import se3_inverse
 
 Floats = NDArray[np.float64]
 
 DEPTH_PAIRS: Final = 16
+"""Pairs of raw frames from which the distance of the scene is triangulated."""
 DEPTH_INTERVAL_S: Final = 0.5
+"""Time between the frames of such a pair."""
 DEPTH_TOLERANCE_PX: Final = 2.0
+"""Distance from the true epipolar lines up to which a match is used."""
 DEPTH_MIN_PARALLAX_DEG: Final = 1.0
 DEPTH_MIN_POINTS: Final = 50
-"""The scene's distance: pairs of raw frames so far apart in time, matches near their true epipolar lines that are seen
-under so much parallax, and how many of them a median needs."""
+"""The fewest points of which a median depth is taken."""
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two frames by index, and the true `second_from_first` (4, 4), metres."""
+    """Two frames by index, and the true motion between them."""
 
     first: int
     second: int
     second_from_first: Floats
+    """(4, 4), in metres."""
 
 
 def scene_distance_m(sequence: FrameSequence, poses: Poses, matcher: Matcher) -> float:
-    """Median depth of the scene, metres: of what matches in raw frames, triangulated from true poses (N, 4, 4).
+    """Median depth of the scene in metres: matches in raw frames are triangulated from true poses (N, 4, 4).
 
-    Raises Unsupported where too little can be triangulated, because nothing matches or the camera only turns.
+    Raises Unsupported if too few can be triangulated, because nothing matches or the camera only turns.
     """
     depths = [np.empty(0)]
     gap = max(1, round(DEPTH_INTERVAL_S * sequence.frame_rate_hz))
@@ -52,26 +55,27 @@ def scene_distance_m(sequence: FrameSequence, poses: Poses, matcher: Matcher) ->
             matches = matcher.match(*images)
             pixels = [image.pixels[matches[:, side]] for side, image in enumerate(images)]
             depths.append(_depths(pixels[0], pixels[1], matcher.matrix, motion))
-    found = np.concatenate(depths)
-    if len(found) < DEPTH_MIN_POINTS:
+    depths_m = np.concatenate(depths)
+    count = len(depths_m)
+    if count < DEPTH_MIN_POINTS:
         raise Unsupported(
-            f"the distance of the scene in {sequence.name} cannot be told: {len(found)} points have parallax under the "
+            f"the distance of the scene in {sequence.name} cannot be told: {count} points have parallax under the "
             f"true motion, {DEPTH_MIN_POINTS} are needed; the camera must move, and its truth must fit its frames"
         )
-    return float(np.median(found))
+    return float(np.median(depths_m))
 
 
 def relative_motion(poses: Poses, first: int, second: int) -> Floats:
-    """second_from_first (4, 4); NaN where one of the two has no true pose."""
+    """second_from_first (4, 4); NaN if one of the two has no true pose."""
     return np.asarray(np.linalg.inv(poses[second]) @ poses[first])
 
 
 def pair_of(
     first: int, poses: Poses, camera: Camera, distance_m: float, baseline: float, min_overlap: float
 ) -> Pair | str:
-    """A frame with the first later one whose true position is `baseline` scene distances away, or why it has none.
+    """A frame and the first later one at least `baseline` scene distances away, or why there is none.
 
-    The two must overlap by `min_overlap`; frames without a true pose are passed over.
+    The two must overlap by `min_overlap`; frames without a true pose are skipped.
     """
     if not np.isfinite(poses[first]).all():
         return "the frame has no true pose"
@@ -89,14 +93,14 @@ def pair_of(
 
 
 def overlap(second_from_first: Floats, camera: Camera, distance_m: float) -> float:
-    """Share of the first image that the second shows, were everything `distance_m` deep."""
+    """Share of the first image that the second shows, if everything were at depth `distance_m`."""
     grid = np.meshgrid(np.linspace(0, camera.width - 1, 16), np.linspace(0, camera.height - 1, 12))
     x, y = (part.ravel() for part in grid)
     sizes = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
     lens = SlamCamera(*sizes, camera.distortion, camera.model)
     if lens.is_fisheye:
-        straight = lens.undistort(np.column_stack([x, y]))
-        x, y = straight[np.isfinite(straight[:, 0])].T
+        undistorted = lens.undistort(np.column_stack([x, y]))
+        x, y = undistorted[np.isfinite(undistorted[:, 0])].T
     rays = np.column_stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones(x.size)])
     seen = distance_m * rays @ second_from_first[:3, :3].T + second_from_first[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -109,7 +113,7 @@ def overlap(second_from_first: Floats, camera: Camera, distance_m: float) -> flo
 
 
 def _depths(first: Floats, second: Floats, matrix: Floats, motion: Floats) -> Floats:
-    """Depths in the first view of matched pixels (M, 2) that a true motion explains, with parallax enough."""
+    """Depths in the first view of matched pixels (M, 2) that agree with the true motion and have enough parallax."""
     near = near_epipolar_lines(first, second, matrix, motion, DEPTH_TOLERANCE_PX)
     first, second = first[near], second[near]
     if not len(first):

@@ -1,4 +1,4 @@
-"""What SLAM on the decoded frames makes of the camera's path."""
+"""The `trajectory` evaluator runs SLAM on decoded frames and measures the camera's path."""
 
 from codecbench.plugins.evaluators.trajectory.evaluator import TrajectoryEvaluator
 

@@ -1,4 +1,4 @@
-"""Bringing two trajectories together: in time by nearest stamps, in space by the best similarity."""
+"""Align two trajectories: in time by nearest stamps, in space by the best similarity."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.sequence import Trajectory
+from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 
 MIN_POSES: Final = 3
-"""Poses that determine a similarity in space."""
+"""The fewest poses that determine a similarity."""
 
 
 class Undefined(Exception):
-    """A quantity has no value for this trajectory; the message is the reason that the table shows."""
+    """A quantity has no value for this trajectory. The message is the reason that the table shows."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """Poses of an estimate beside the reference's at the same times, one to one and in order of time."""
+    """Poses of an estimate and of a reference at the same times, one to one and in order of time."""
 
     estimate: Trajectory
     reference: Trajectory
@@ -38,11 +39,11 @@ class Similarity:
     translation: NDArray[np.float64]
 
     def points(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(N, 3) points of the estimate in the reference's frame and unit."""
+        """Points (N, 3) of the estimate in the reference's coordinates and unit."""
         return np.asarray(self.scale * points @ self.rotation.T + self.translation)
 
     def trajectory(self, trajectory: Trajectory) -> Trajectory:
-        """The estimate's poses in the reference's frame and unit; they stay rigid."""
+        """The estimate's poses in the reference's coordinates and unit; they stay rigid."""
         poses = trajectory.world_from_camera.copy()
         poses[:, :3, :3] = self.rotation @ poses[:, :3, :3]
         poses[:, :3, 3] = self.points(trajectory.positions_world)
@@ -52,7 +53,7 @@ class Similarity:
 def nearest_stamps(
     stamps_s: NDArray[np.float64], others_s: NDArray[np.float64], tolerance_s: float
 ) -> NDArray[np.int64]:
-    """(N,) for each stamp the position of the nearest other, or -1 where none is within `tolerance_s`.
+    """(N,) for each stamp the index of the nearest other, or -1 if none is within `tolerance_s`.
 
     Both are increasing; the earlier wins among equals.
     """
@@ -68,21 +69,21 @@ def nearest_stamps(
 
 
 def associate(estimate: Trajectory, reference: Trajectory, tolerance_s: float) -> Pairs:
-    """Each pose of the estimate beside the reference's nearest in time, where one is within `tolerance_s`."""
+    """Pair each pose of the estimate with the reference's nearest in time, if one is within `tolerance_s`."""
     nearest = nearest_stamps(estimate.timestamps_s, reference.timestamps_s, tolerance_s)
-    found = nearest >= 0
-    return Pairs(_select(estimate, np.flatnonzero(found)), _select(reference, nearest[found]))
+    is_paired = nearest >= 0
+    return Pairs(_select(estimate, np.flatnonzero(is_paired)), _select(reference, nearest[is_paired]))
 
 
 def align(pairs: Pairs, whole_turn: bool = False) -> Similarity:
     """The similarity that minimises the squared distances between paired positions.
 
     Umeyama, "Least-squares estimation of transformation parameters between two point patterns", IEEE TPAMI 13(4),
-    1991, doi:10.1109/34.88573, as evo computes it. On a straight line the turn about it is open, and one of the best is
-    given: distances are the same for all. Raises Undefined for fewer than MIN_POSES pairs and for positions that are
-    all one; with whole_turn also for straight lines.
+    1991, doi:10.1109/34.88573, as evo computes it. On a straight line the rotation about it is undetermined; the result
+    is one of the best, which all give the same distances. Raises Undefined for fewer than MIN_POSES pairs and if all
+    positions are one; with whole_turn also for straight lines.
     """
-    from evo.core.geometry import GeometryException, umeyama_alignment
+    from evo.core.geometry import GeometryException, umeyama_alignment  # GPL: imported only when used
 
     if len(pairs) < MIN_POSES:
         raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; a similarity needs {MIN_POSES}")
@@ -99,8 +100,10 @@ def align(pairs: Pairs, whole_turn: bool = False) -> Similarity:
 
 
 def align_any_turn(estimated: NDArray[np.float64], true: NDArray[np.float64]) -> Similarity:
-    """One of the best similarities of positions (N, 3) (Umeyama, eqs. 40 to 42, which hold where several are best,
-    too); for estimates that are all one, that which puts them at the mean of the true ones."""
+    """One of the best similarities of positions (N, 3), by Umeyama's eqs. 40 to 42.
+
+    These hold also if several are best. Estimates that are all one are moved to the mean of the true positions.
+    """
     from_mean, to_mean = estimated.mean(axis=0), true.mean(axis=0)
     left, strengths, right = np.linalg.svd((true - to_mean).T @ (estimated - from_mean) / len(true))
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
@@ -112,3 +115,31 @@ def align_any_turn(estimated: NDArray[np.float64], true: NDArray[np.float64]) ->
 
 def _select(trajectory: Trajectory, positions: NDArray[np.int64]) -> Trajectory:
     return Trajectory(trajectory.timestamps_s[positions], trajectory.world_from_camera[positions])
+
+
+Poses = NDArray[np.float64]
+
+
+def true_poses(sequence: FrameSequence, association_s: float) -> Poses:
+    """(N, 4, 4) world_from_camera of every frame, NaN if no true pose is within `association_s` of it.
+
+    Raises Unsupported if the sequence has no ground truth, or none near a frame.
+    """
+    truth = sequence.ground_truth
+    if truth is None:
+        raise Unsupported(f"sequence {sequence.name} has no ground truth; give one, or leave this evaluator out")
+    nearest = nearest_stamps(sequence.timestamps_s, truth.timestamps_s, association_s)
+    if not (nearest >= 0).any():
+        raise Unsupported(f"no frame of {sequence.name} has a true pose within association_s = {association_s:g} s")
+    poses = np.full((len(sequence), 4, 4), np.nan)
+    poses[nearest >= 0] = truth.world_from_camera[nearest[nearest >= 0]]
+    return poses
+
+
+def rotation_angles_deg(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...) angles in degrees, 0 to 180, of rotation matrices (..., 3, 3)."""
+    # Sine and cosine are used together because either alone is inaccurate for small or for large angles.
+    skew = rotations - np.swapaxes(rotations, -1, -2)
+    sine = 0.5 * np.sqrt(skew[..., 2, 1] ** 2 + skew[..., 0, 2] ** 2 + skew[..., 1, 0] ** 2)
+    cosine = 0.5 * (np.trace(rotations, axis1=-2, axis2=-1) - 1.0)
+    return np.asarray(np.degrees(np.arctan2(sine, cosine)))

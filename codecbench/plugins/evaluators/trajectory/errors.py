@@ -1,4 +1,4 @@
-"""How far an estimated trajectory is from the true one, by several definitions."""
+"""Errors of an estimated trajectory against the true one, by several definitions."""
 
 from __future__ import annotations
 
@@ -21,30 +21,29 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
 )
 
 SLIP_PARTS: Final = 5
-"""Parts of a way whose scales are compared: enough to see a slip in the middle, few enough to span a turn each."""
+"""Parts of a path whose scales are compared: enough to see a slip in the middle, few enough to span a turn each."""
 
 
 class RelativeErrors(NamedTuple):
-    """Root mean squares over an interval: `trans_m` of the position, `rot_deg` of the rotation angle."""
+    """RMS errors of the motion over an interval: of the position, and of the rotation angle."""
 
     trans_m: float
     rot_deg: float
 
 
 class HeldErrors(NamedTuple):
-    """Parts of the error with positions held, metres: their squares add up to that of the whole.
-
-    waiting_m: of frames before the first pose is known. tracked_m: of frames with a pose. lost_m: of those without one
-    after the first.
-    """
+    """Parts of the ATE with last-pose hold, in metres, whose squares add up to the square of the whole."""
 
     waiting_m: float
+    """Of frames before the first pose."""
     tracked_m: float
+    """Of frames with a pose."""
     lost_m: float
+    """Of frames without a pose after the first one."""
 
     @property
     def whole_m(self) -> float:
-        """Root mean square over all frames."""
+        """RMS over all frames."""
         return math.hypot(*self)
 
 
@@ -55,7 +54,7 @@ def position_errors(pairs: Pairs, similarity: Similarity) -> NDArray[np.float64]
 
 
 def rms(values: NDArray[np.float64]) -> float:
-    """Root of the mean square."""
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -63,8 +62,8 @@ def first_frame_rmse(pairs: Pairs) -> float:
     """The error of MATLAB's monocular SLAM example, metres.
 
     Both trajectories are expressed in the coordinates of their own first pose; the estimate is scaled by the median
-    over the poses of |true position| / |estimated position|; nothing is rotated or shifted to fit. Poses that have
-    not left the first one have no ratio and do not take part in the median. Raises Undefined for fewer than MIN_POSES.
+    over the poses of |true position| / |estimated position|. Nothing is rotated or shifted to fit. Poses at the first
+    position have no ratio and are left out of the median. Raises Undefined for fewer than MIN_POSES.
     """
     if len(pairs) < MIN_POSES:
         raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; {MIN_POSES} are needed")
@@ -80,8 +79,8 @@ def first_frame_rmse(pairs: Pairs) -> float:
 def relative_errors(pairs: Pairs, similarity: Similarity, interval_s: float, tolerance_s: float) -> RelativeErrors:
     """Relative pose errors over `interval_s` (Sturm et al., IROS 2012, doi:10.1109/IROS.2012.6385773, eqs. 2 and 4).
 
-    Every pose is paired with the one nearest to `interval_s` later, where there is one within `tolerance_s`, so that
-    gaps are stepped over. The estimate has the scale of `similarity`. Raises Undefined where no two poses pair.
+    Every pose is paired with the one nearest to `interval_s` later, if one is within `tolerance_s`; gaps are skipped.
+    The estimate has the scale of `similarity`. Raises Undefined if no two poses pair.
     """
     stamps_s = pairs.estimate.timestamps_s
     ends = nearest_stamps(stamps_s + interval_s, stamps_s, tolerance_s)
@@ -97,9 +96,9 @@ def relative_errors(pairs: Pairs, similarity: Similarity, interval_s: float, tol
 
 
 def scale_drift(pairs: Pairs) -> float:
-    """|ln(s_late / s_early)|: by how much the map's scale changed between the first and the last third of the poses.
+    """|ln(s_late / s_early)|: the change of the map's scale between the first and the last third of the poses.
 
-    Raises Undefined for fewer than three poses a third, or where one does not move.
+    Raises Undefined for fewer than three poses in a third, or if the camera does not move in one.
     """
     third = len(pairs) // 3
     early, late = _scales(pairs, (slice(0, third), slice(len(pairs) - third, len(pairs))))
@@ -107,7 +106,7 @@ def scale_drift(pairs: Pairs) -> float:
 
 
 def scale_slip(pairs: Pairs) -> float:
-    """ln(s_most / s_least): by how much the map's scale changes along the way.
+    """ln(s_most / s_least): the change of the map's scale along the path.
 
     Raises Undefined as `scales_along` does.
     """
@@ -116,37 +115,38 @@ def scale_slip(pairs: Pairs) -> float:
 
 
 def scales_along(pairs: Pairs) -> list[float]:
-    """ln of true over estimated scale in each of the SLIP_PARTS parts of the way.
+    """ln of true over estimated scale in each of the SLIP_PARTS parts of the path.
 
-    Parts are equally long, as lengths of the true path, so that a camera that stands or hurries changes nothing.
-    Raises Undefined for fewer than three poses a part, or where one does not move.
+    Parts have equal lengths of the true path, so the speed of the camera does not matter. Raises Undefined for fewer
+    than three poses in a part, or if the camera does not move in one.
     """
     steps_m = np.linalg.norm(np.diff(pairs.reference.positions_world, axis=0), axis=1)
-    gone_m = np.concatenate([[0.0], np.cumsum(steps_m)])
-    ends = np.searchsorted(gone_m, gone_m[-1] * np.arange(SLIP_PARTS + 1) / SLIP_PARTS)
+    travelled_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    ends = np.searchsorted(travelled_m, travelled_m[-1] * np.arange(SLIP_PARTS + 1) / SLIP_PARTS)
     ends[-1] = len(pairs)
     return _scales(pairs, tuple(slice(int(first), int(last)) for first, last in pairwise(ends)))
 
 
 def _scales(pairs: Pairs, parts: tuple[slice, ...]) -> list[float]:
-    """ln of the scale of each part: the ratio of the spreads of true and estimated positions about their means, the
-    symmetric scale of Horn, JOSA A 4(4), 1987, doi:10.1364/JOSAA.4.000629, section 2.E."""
+    """ln of the scale of each part, the ratio of the spreads of true and estimated positions about their means.
+
+    This is the symmetric scale of Horn, JOSA A 4(4), 1987, doi:10.1364/JOSAA.4.000629, section 2.E.
+    """
     if min(part.stop - part.start for part in parts) < MIN_POSES:
         raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; {MIN_POSES} are needed in each part")
     true = [spread(pairs.reference.positions_world[part]) for part in parts]
     estimated = [spread(pairs.estimate.positions_world[part]) for part in parts]
     if min(*true, *estimated) == 0.0:
         raise Undefined("the camera does not move in a part of the way")
-    return [float(np.log(of_truth / found)) for of_truth, found in zip(true, estimated, strict=True)]
+    return [float(np.log(of_truth / of_estimate)) for of_truth, of_estimate in zip(true, estimated, strict=True)]
 
 
 def held_errors(stamps_s: NDArray[np.float64], true_positions: NDArray[np.float64], estimate: Trajectory) -> HeldErrors:
-    """The position error over all frames that have ground truth, tracked or not, in its parts.
+    """The ATE with last-pose hold over all frames that have ground truth, tracked or not, in its parts.
 
-    stamps_s, true_positions: (N,) and (N, 3) of these frames. estimate: the tracked frames' poses. What is not tracked
-    counts with the last position known by then, and before there is one with the first. The error is that under the
-    similarity that makes it least. So positions that are all one, or none, leave the spread of the true ones, and
-    nothing leaves more.
+    stamps_s, true_positions: (N,) and (N, 3) of these frames. estimate: the tracked frames' poses. An untracked frame
+    counts with the last known position, and before there is one with the first. The error is the least under any
+    similarity. So if all positions are one, or there is none, it is the spread of the true ones, which is the maximum.
     """
     # Stamps are seconds since 1970 to the microsecond: a double holds them to 0.2 microseconds.
     last = np.searchsorted(estimate.timestamps_s, stamps_s + 1e-6, side="right") - 1

@@ -1,4 +1,4 @@
-"""The `trajectory` evaluator: runs SLAM on what a codec leaves of a sequence and judges the path."""
+"""The `trajectory` evaluator runs SLAM on coded frames and measures the camera's path."""
 
 from __future__ import annotations
 
@@ -24,8 +24,14 @@ from codecbench.core.contracts.sequence import FrameSequence, Trajectory
 from codecbench.core.contracts.slam import SlamRun
 from codecbench.core.contracts.view import Drawing, View
 from codecbench.core.simulation.delivery import delivery_of
-from codecbench.plugins.evaluators.trajectory import drawn, files, pseudo_ground_truth, verdicts
-from codecbench.plugins.evaluators.trajectory.accuracy import Accuracy
+from codecbench.plugins.evaluators.trajectory import files, path_drawing, pseudo_ground_truth, verdicts
+from codecbench.plugins.evaluators.trajectory.accuracy import (
+    Accuracy,
+    fresh_fraction,
+    live_errors,
+    live_positions,
+    newest_poses,
+)
 from codecbench.plugins.evaluators.trajectory.alignment import (
     Similarity,
     Undefined,
@@ -35,18 +41,12 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
 )
 from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms
 from codecbench.plugins.evaluators.trajectory.feed import Feed, architecture_of
-from codecbench.plugins.evaluators.trajectory.live import (
-    fresh_fraction,
-    live_errors,
-    live_positions,
-    newest_poses,
-)
 from codecbench.plugins.evaluators.trajectory.metrics import ACCURACY, BEHAVIOUR, COMPARED, HELD, LIVE
 from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
 
 class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
-    """Accuracy and behaviour of monocular SLAM. A run that loses its way is a result; docs/metrics.md says which."""
+    """Accuracy and behaviour of monocular SLAM. A run that gets lost is a result too; see docs/metrics.md."""
 
     name = "trajectory"
     version = "4"
@@ -56,7 +56,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         View("curve", "Rate and trajectory error", ("ate_rmse_m",)),
         View("curve", "Rate and distance from raw's path", ("raw_path_error_percent",)),
         View("curve", "Rate and tracked share", ("tracked_fraction",)),
-        View("map", "Trajectories", note=drawn.NOTE),
+        View("map", "Trajectories", note=path_drawing.NOTE),
     )
     needs = frozenset({"camera"})
     typical_ms_per_frame = 30.0
@@ -75,8 +75,8 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
 
     def repeat_identity(self, repeat: int) -> dict[str, Any]:
         offset, seed = self.params.repeat(repeat)
-        listed = {"start_offsets", "seeds", *verdicts.THRESHOLDS}
-        shared = {name: value for name, value in self.params.identity().items() if name not in listed}
+        excluded = {"start_offsets", "seeds", *verdicts.THRESHOLDS}
+        shared = {name: value for name, value in self.params.identity().items() if name not in excluded}
         return {**shared, "start_offset": offset, "seed": seed}
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
@@ -94,12 +94,12 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         camera = coded.sequence.camera
         if camera is None:
             raise Unsupported(f"sequence {coded.sequence.name} has no camera; SLAM needs its calibration")
-        run = feed.run(backend, camera, seed) if len(feed) else _NOTHING
-        _check(run, feed.seen, self.params.backend)
+        run = feed.run(backend, camera, seed) if len(feed) else _EMPTY_RUN
+        _check_run(run, feed.seen, self.params.backend)
         stamps_s = feed.stamps_s
         accuracy = Accuracy(run, coded.sequence, stamps_s, params.association_s, params.rpe_interval_s)
         yield from accuracy.measurements()
-        yield from _behaviour(run, stamps_s)
+        yield from _behaviour_measurements(run, stamps_s)
         size_bytes = feed.sent_size_bytes()
         yield Measurement("sent_size_bytes", float(size_bytes))
         yield Measurement("sent_rate_kbps", 8e-3 * size_bytes * coded.sequence.frame_rate_hz / len(stamps_s))
@@ -107,12 +107,12 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
             newest = newest_poses(run, feed.read_at, delivery.captured_s[offset:])
             yield Measurement("fresh_pose_fraction", fresh_fraction(run, newest, stamps_s))
             positions = live_positions(run, accuracy.before or accuracy.after, newest)
-            yield from _live(positions, feed, coded.sequence.ground_truth, params.association_s)
+            yield from _live_measurements(positions, feed, coded.sequence.ground_truth, params.association_s)
             files.write_live(context.artifacts / files.LIVE, delivery, feed.read_at, positions, offset)
-        _save(run, accuracy, coded.sequence, context)
+        _write_files(run, accuracy, coded.sequence, context)
 
     def compare(self, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
-        """Over a link there is no baseline: what becomes of raw frames there is no measure of what could be."""
+        """Compare with the raw codec's runs, except over a link, where raw frames are no upper bound."""
         over_link = self.params.link is not None
         baseline = [] if over_link else baseline
         yield verdicts.success(outcome, baseline, self.params)
@@ -127,17 +127,17 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
             return
         yield pseudo_ground_truth.raw_path_error(outcome, baseline)
         yield verdicts.starts_in_time(outcome, same, self.params)
-        yield _distance(outcome, same)
+        yield _distance_to_raw(outcome, same)
         difference = outcome.value("ate_rmse_m") - same.value("ate_rmse_m")
         missing = "one of the two runs has no ATE" if math.isnan(difference) else None
         yield Measurement("ate_minus_raw_m", difference, reason=missing)
 
     def drawing(self, outcome: Outcome) -> Drawing | None:
-        return drawn.drawing(outcome)
+        return path_drawing.draw(outcome)
 
 
-def _check(run: SlamRun, frames: int, backend: str) -> None:
-    """Raise SlamError where a backend's answer cannot be of these frames."""
+def _check_run(run: SlamRun, frames: int, backend: str) -> None:
+    """Raise SlamError if a backend's run cannot be of these frames."""
     if not isinstance(run, SlamRun):
         raise SlamError(f"slam backend {backend} returned {type(run).__name__}; it returns a SlamRun")
     if len(run.frames) != frames:
@@ -157,14 +157,14 @@ def _check(run: SlamRun, frames: int, backend: str) -> None:
 
 
 _NO_POSES = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-_NOTHING = SlamRun((), _NO_POSES, _NO_POSES, np.zeros(0, np.int64), np.zeros((0, 3)), (), 0)
-"""What SLAM makes of no frame at all."""
+_EMPTY_RUN = SlamRun((), _NO_POSES, _NO_POSES, np.zeros(0, np.int64), np.zeros((0, 3)), (), 0)
+"""The run for a sequence of no frames."""
 
 
-def _live(
+def _live_measurements(
     positions: NDArray[np.float64], feed: Feed, truth: Trajectory | None, tolerance_s: float
 ) -> Iterator[Measurement]:
-    """What a robot knows at each moment. positions: the newest it has."""
+    """Metrics of the newest known position at each capture. positions: (M, 3), NaN if none is known."""
     stamps_s = feed.stamps_s
     yield Measurement("delivered_fraction", feed.seen / len(stamps_s))
     known_s = stamps_s[~np.isnan(positions[:, 0])]
@@ -183,13 +183,13 @@ def _live(
     yield _or_missing("live_error_max_m", known.max() if len(known) else None, reason)
 
 
-def _behaviour(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> Iterator[Measurement]:
-    """What SLAM did, whatever the truth is. all_stamps_s: of all frames, whether SLAM saw them or not."""
+def _behaviour_measurements(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> Iterator[Measurement]:
+    """Metrics of tracking, without ground truth. all_stamps_s: of all frames, whether SLAM saw them or not."""
     stamps_s = run.trajectory.timestamps_s
     states = [frame.state for frame in run.frames]
     lost = sum(before == "tracked" and now != "tracked" for before, now in pairwise(states))
     yield Measurement("tracked_fraction", len(stamps_s) / len(all_stamps_s))
-    yield from _since_map(run, all_stamps_s)
+    yield from _measurements_since_map(run, all_stamps_s)
     tracked = (frame.index for frame in run.frames if len(stamps_s) and frame.timestamp_s >= stamps_s[0] - 1e-6)
     yield _or_missing("first_tracked_frame", next(tracked, None), "no frame was tracked")
     yield Measurement("times_lost", float(lost))
@@ -207,8 +207,8 @@ def _behaviour(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> Iterator[Meas
     yield _or_missing("slam_ms_per_frame", np.mean(elapsed) if elapsed else None, "the backend does not time itself")
 
 
-def _since_map(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> Iterator[Measurement]:
-    """How long the first map took, whichever map was kept in the end, and how much of the rest has a pose."""
+def _measurements_since_map(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> Iterator[Measurement]:
+    """How long the first map took, whichever map is final, and the share of later frames that have a pose."""
     first_s = next((frame.timestamp_s for frame in run.frames if frame.state == "tracked"), math.inf)
     before = np.count_nonzero(all_stamps_s < first_s - 1e-6)
     yield Measurement("initialisation_frames", float(before))
@@ -223,8 +223,8 @@ def _or_missing(metric: str, value: float | np.floating | None, reason: str) -> 
     return Measurement(metric, math.nan, reason=reason) if value is None else Measurement(metric, float(value))
 
 
-def _distance(outcome: Outcome, raw: Outcome) -> Measurement:
-    """The outcome's trajectory against the raw codec's, frame by frame, after Sim(3) alignment."""
+def _distance_to_raw(outcome: Outcome, raw: Outcome) -> Measurement:
+    """RMS distance of the outcome's trajectory from the raw codec's, frame by frame, after Sim(3) alignment."""
     estimate, reference = (files.read_tum(run.artifacts / files.TRAJECTORY) for run in (outcome, raw))
     pairs = associate(estimate, reference, 0.0)
     try:
@@ -233,18 +233,18 @@ def _distance(outcome: Outcome, raw: Outcome) -> Measurement:
         return Measurement("ate_to_raw_m", math.nan, reason=f"the two runs share {len(pairs)} tracked frame(s)")
 
 
-def _save(run: SlamRun, accuracy: Accuracy, sequence: FrameSequence, context: Context) -> None:
-    """Leave the run beside the record, in metres and the true frame where there is ground truth."""
+def _write_files(run: SlamRun, accuracy: Accuracy, sequence: FrameSequence, context: Context) -> None:
+    """Write the files of a run, in metres and true coordinates if there is ground truth."""
     folder = context.artifacts
     after = accuracy.after or Similarity(1.0, np.eye(3), np.zeros(3))
     before = accuracy.before or after
-    kept = set(run.keyframe_indices.tolist())
-    keyframe_stamps_s = np.array([frame.timestamp_s for frame in run.frames if frame.index in kept])
+    keyframe_indices = set(run.keyframe_indices.tolist())
+    keyframe_stamps_s = np.array([frame.timestamp_s for frame in run.frames if frame.index in keyframe_indices])
     final = after.trajectory(run.trajectory)
     keyframes = nearest_stamps(final.timestamps_s, keyframe_stamps_s, 0.0) >= 0
     files.write_tum(folder / files.TRAJECTORY, final)
     files.write_tum(folder / files.TRAJECTORY_BEFORE_LOOPS, before.trajectory(run.trajectory_before_loops))
-    files.write_tum(folder / files.KEYFRAMES, files.selected(final, keyframes))
+    files.write_tum(folder / files.KEYFRAMES, files.select(final, keyframes))
     files.write_points(folder / files.MAP_POINTS, after.points(run.points_world))
     files.write_states(folder / files.STATES, run.frames)
     files.write_loops(folder / files.LOOPS, run.loops)

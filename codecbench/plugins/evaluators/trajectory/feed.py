@@ -1,4 +1,4 @@
-"""What each architecture hands to SLAM, and what it sends for that."""
+"""The frames or features that each architecture gives to SLAM, and the bytes that it sends for them."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from codecbench.core.simulation.delivery import DeliveredFrames, Delivery
 Architecture = Literal["cta", "atc", "features"]
 
 
-def architecture_of(codec: AnyCodec[Any], asked: Architecture) -> Architecture:
-    """What SLAM can be given of a codec: of one of features always these.
+def architecture_of(codec: AnyCodec[Any], requested: Architecture) -> Architecture:
+    """The architecture for a codec: `features` for a feature codec, else the one requested for.
 
-    Raises Unsupported for `features` of a codec of pictures and for `atc`, which sends pictures, of one of features.
+    Raises Unsupported for `features` with an image codec, and for `atc`, which sends images, with a feature codec.
     """
-    if not gets_features(codec, asked):
-        return asked
-    if asked == "atc":
+    if not gets_features(codec, requested):
+        return requested
+    if requested == "atc":
         raise sends_no_picture(codec)
     return "features"
 
 
 class Feed:
-    """The frames of a coded sequence from `start_offset` on, as SLAM is to see them.
+    """The frames of a coded sequence from `start_offset` on, as SLAM sees them.
 
-    Under `atc` frames are sent as they are chosen: with a codec that has memory, they alone make the stream. Over a
-    link those are seen that are delivered and for which SLAM has time: `read_at` says when it has done with each.
-    stamps_s: of all frames from the offset on, seen or not. Raises Unsupported where the sequence has no frame left.
+    Under `atc` only the chosen frames are sent; with an inter-frame codec, they alone make up the stream. Over a link
+    SLAM sees the frames that are delivered and for which it has time; `read_at` is when it has finished each.
+    stamps_s: of all frames from the offset on, seen or not. Raises Unsupported if the sequence has no frame left.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Feed:
         delivery: Delivery | None = None,
         slam_s: float = 0.0,
     ) -> None:
-        """slam_s: what SLAM takes for a frame that comes over a link."""
+        """slam_s: time that SLAM takes for a frame that comes over a link."""
         if start_offset >= len(coded):
             raise Unsupported(f"start offset {start_offset} leaves no frame of {len(coded)}; give a smaller one")
         self._coded = coded
@@ -60,15 +60,15 @@ class Feed:
         self.seen = 0
         self._pictures = None if delivery is None else DeliveredFrames(coded, delivery)
         self._sender = coded.sender() if architecture == "atc" else None
-        self._is_of_features = architecture == "features"
+        self._sends_features = architecture == "features"
         self._sizes_bytes: dict[int, int] = {}
 
     def __len__(self) -> int:
         return len(self._indices)
 
     def run(self, backend: SlamBackend[Any], camera: Camera, seed: int) -> SlamRun:
-        """What a backend makes of the frames, or of their features under `features`."""
-        if self._is_of_features:
+        """Run a backend on the frames, or under `features` on their features."""
+        if self._sends_features:
             return backend.run_features(self.feature_frames(), camera, seed=seed)
         return backend.run(self.frames(), camera, seed=seed, keyframe_image=self.keyframe_image)
 
@@ -98,13 +98,13 @@ class Feed:
 
     @property
     def keyframe_image(self) -> Callable[[int], Image] | None:
-        """Under `atc`, what mapping sees of a frame when it becomes a keyframe; None under `cta`."""
+        """Under `atc`, the image that mapping sees of a keyframe; None under `cta`."""
         return None if self._sender is None else self._decoded_keyframe
 
     def sent_size_bytes(self) -> int:
-        """Bytes that the device has sent: of the keyframes asked for under `atc`, else of all frames.
+        """Bytes that the device has sent: under `atc` of the requested keyframes, else of all frames.
 
-        Over a link all that was handed to it.
+        Over a link, all bytes that were given to it.
         """
         if self._delivery is not None:
             return int(self._delivery.sent_bytes[self._all.start :].sum())
@@ -113,7 +113,7 @@ class Feed:
         return sum(self._sizes_bytes.values())
 
     def _decoded_keyframe(self, index: int) -> Image:
-        """A keyframe that is asked for again is given again, and was sent once."""
+        """The decoded keyframe. One that is requested again is sent once."""
         assert self._sender is not None
         sent = self._sender.send(index)
         self._sizes_bytes[index] = sent.size_bytes

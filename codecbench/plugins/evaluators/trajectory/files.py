@@ -1,4 +1,4 @@
-"""The files that a trajectory cell leaves beside its record."""
+"""The files that a trajectory cell writes beside its record."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def read_tum(path: Path) -> Trajectory:
     return Trajectory(rows[:, 0], poses)
 
 
-def selected(trajectory: Trajectory, mask: NDArray[np.bool_]) -> Trajectory:
-    """The poses for which `mask` (N,) holds."""
+def select(trajectory: Trajectory, mask: NDArray[np.bool_]) -> Trajectory:
+    """The poses for which `mask` (N,) is true."""
     return Trajectory(trajectory.timestamps_s[mask], trajectory.world_from_camera[mask])
 
 
@@ -61,7 +61,7 @@ def write_points(path: Path, points: NDArray[np.float64]) -> None:
 
 
 def write_states(path: Path, frames: tuple[TrackedFrame, ...]) -> None:
-    """What happened to each frame, one line a frame; no times of computing, so that equal runs leave equal files."""
+    """The tracking state of each frame, one line a frame; without times, so that equal runs write equal files."""
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(["frame", "timestamp_s", "state", "inliers", "keyframe", "map_id", "reason"])
@@ -72,7 +72,7 @@ def write_states(path: Path, frames: tuple[TrackedFrame, ...]) -> None:
 
 
 def write_loops(path: Path, loops: tuple[LoopEvent, ...]) -> None:
-    """The loops that were closed, one line a loop."""
+    """The closed loops, one line a loop."""
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(["frame", "matched_frame", "inliers", "merged_maps"])
@@ -83,32 +83,36 @@ def write_loops(path: Path, loops: tuple[LoopEvent, ...]) -> None:
 def write_live(
     path: Path, delivery: Delivery, read_at: Mapping[int, float], positions: NDArray[np.float64], offset: int
 ) -> None:
-    """What became of each frame from `offset` on, and where the camera was thought to be when it was taken.
+    """The delivery outcome of each frame from `offset` on, and the newest known position at its capture.
 
-    Times are in seconds from the first frame of the sequence; positions (M, 3) are empty where none was known.
+    Times are in seconds from the first frame of the sequence; positions (M, 3) are empty if none was known.
     """
     with path.open("w", newline="") as stream:
         writer = csv.writer(stream)
         writer.writerow(["frame", "taken_s", "fate", "delivered_s", "read_s", "x", "y", "z"])
         for frame, position in enumerate(positions.tolist(), offset):
             times = (float(delivery.handed_s[frame]), read_at.get(frame, math.inf))
-            told = [f"{time_s:.6f}" if math.isfinite(time_s) else "" for time_s in times]
-            where = ["" if math.isnan(value) else f"{value:.9g}" for value in position]
-            writer.writerow([frame, f"{delivery.captured_s[frame]:.6f}", delivery.outcomes[frame], *told, *where])
+            columns = [f"{time_s:.6f}" if math.isfinite(time_s) else "" for time_s in times]
+            coordinates = ["" if math.isnan(value) else f"{value:.9g}" for value in position]
+            writer.writerow(
+                [frame, f"{delivery.captured_s[frame]:.6f}", delivery.outcomes[frame], *columns, *coordinates]
+            )
 
 
 @dataclass(frozen=True)
 class Live:
-    """What `write_live` wrote. frames, taken_s, outcomes: (M,). positions: (M, 3), NaN where nobody knew."""
+    """The content of a file of `write_live`; arrays have one row for each of M frames."""
 
     frames: NDArray[np.int64]
     taken_s: NDArray[np.float64]
+    """Capture times."""
     outcomes: list[str]
     positions: NDArray[np.float64]
+    """(M, 3) newest known position at capture; NaN if there was none."""
 
 
 def read_live(path: Path) -> Live:
-    """What became of each frame, and where the camera was thought to be when it was taken."""
+    """Read a file that `write_live` wrote."""
     with path.open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     return Live(

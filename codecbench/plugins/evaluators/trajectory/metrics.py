@@ -21,7 +21,7 @@ def _part(name: str, of_what: str) -> Metric:
 
 
 HELD: Final = ("held_ate_m", "held_waiting_m", "held_tracked_m", "held_lost_m")
-"""The error with positions held and its parts, whose squares add up to its square."""
+"""The ATE with last-pose hold and its parts, whose squares add up to its square."""
 SPREAD: Final = "path_spread_m"
 ACCURACY: Final = (
     Metric(

@@ -1,8 +1,8 @@
-"""The raw codec's paths in the place of a ground truth that a sequence does not have.
+"""The raw codec's paths as a substitute for the ground truth that a sequence does not have.
 
-A monocular path has no unit, and raw's own runs differ from start to start. So the distance from raw's path is told as
-a share of that path's length, and every run, raw's own too, is judged by raw's runs from other starts: what raw shows
-there is the least that can be told of any codec.
+A monocular path has no unit, and raw's own runs differ between start offsets. So the distance from raw's path is given
+as a share of that path's length, and every run, raw's own included, is compared with raw's runs from other start
+offsets. The distance between raw runs is the noise floor.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ def has_truth(outcome: Outcome) -> bool:
 
 
 def raw_path_error(outcome: Outcome, baseline: list[Outcome]) -> Measurement:
-    """The median of the run's distances from raw's runs that began at other frames."""
+    """The median distance of the run from raw's runs with other start offsets."""
     if has_truth(outcome):
         return Measurement(METRIC, math.nan, reason="the sequence has ground truth, which judges better")
     others = [raw for raw in baseline if raw.repeat != outcome.repeat]
     if not others:
         return Measurement(METRIC, math.nan, reason="raw has no run from another start; give several start_offsets")
-    known = [error for raw in others if not math.isnan(error := _distance_percent(outcome, raw))]
-    if not known:
+    errors = [error for raw in others if not math.isnan(error := _distance_percent(outcome, raw))]
+    if not errors:
         return Measurement(METRIC, math.nan, reason="too few frames are tracked both here and by a run of raw")
-    return Measurement(METRIC, float(np.median(known)))
+    return Measurement(METRIC, float(np.median(errors)))
 
 
 def raw_disagreement_percent(baseline: list[Outcome]) -> float:
-    """The median of what `raw_path_error` says of raw's own runs; NaN where it says nothing."""
-    known = [error for raw in baseline if not math.isnan(error := raw_path_error(raw, baseline).value)]
-    return float(np.median(known)) if known else math.nan
+    """The median of `raw_path_error` over raw's own runs; NaN if none has a value."""
+    errors = [error for raw in baseline if not math.isnan(error := raw_path_error(raw, baseline).value)]
+    return float(np.median(errors)) if errors else math.nan
 
 
 def _distance_percent(outcome: Outcome, raw: Outcome) -> float:
-    """RMS distance of the two paths over the frames that both have, in percent of the length of raw's; NaN for few."""
+    """RMS distance of two paths over common frames, in percent of the length of raw's; NaN if these are too few."""
     pairs = associate(_path(outcome), _path(raw), 0.0)
     try:
         errors = position_errors(pairs, align(pairs))
@@ -64,5 +64,5 @@ def _path(outcome: Outcome) -> Trajectory:
 
 @lru_cache(maxsize=256)
 def _read(file: Path, _: int) -> Trajectory:
-    """Each run's path is compared with several: read once, as long as the file stays as it is."""
+    """Read a path once for several comparisons; the second argument, its time of writing, is part of the cache key."""
     return files.read_tum(file)

@@ -1,4 +1,4 @@
-"""Whether a run holds up beside those of the raw codec from the same starts."""
+"""Verdicts on a run in comparison with the raw codec's runs."""
 
 from __future__ import annotations
 
@@ -14,24 +14,22 @@ from codecbench.plugins.evaluators.trajectory.params import TrajectoryParams
 
 THRESHOLDS: Final = ("tracked_to_raw", "ate_to_raw", "ate_limit_m", "raw_agrees_percent", "delay_frames")
 """Parameters that only verdicts read, so that no run depends on them."""
-
-
 _SMALL_M: Final = 0.1
-"""Lengths below it are told in millimetres."""
+"""Lengths below this are given in millimetres."""
 NO_MAP: Final = "raw frames give no map here either, so that nothing can be said of codecs"
 
 
 def raw_makes_no_map(baseline: list[Outcome]) -> bool:
-    """Whether there are runs of the raw codec, and not one of them tracked a frame."""
+    """Whether there are runs of the raw codec, but none of them tracked a frame."""
     return bool(baseline) and all(raw.value("tracked_fraction") == 0.0 for raw in baseline)
 
 
 def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams) -> Measurement:
     """Whether enough is tracked from the first map on, and the error is within the limit.
 
-    Both are relative to the medians of the raw codec's runs: single runs differ by factors from one start to the next.
-    Without such runs all frames are to be tracked. Missing, with the reason, where raw frames give no map either, where
-    there is nothing to compare the error with, and where the limit would let pass what knows nothing of the path.
+    Both are relative to the medians of the raw codec's runs, because single runs differ by factors between start
+    offsets. Without such runs all frames must be tracked. The value is missing, with the reason, if raw frames give no
+    map either, if there is no error to compare with, or if the limit would pass an estimate without any information.
     """
     if reason := NO_MAP if raw_makes_no_map(baseline) else _no_reference(outcome, baseline, params):
         return _missing("success", reason)
@@ -42,11 +40,11 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
     if math.isnan(tracked) or math.isnan(raw_tracked):
         return _missing("success", "measured before frames since the first map were counted; measure it again")
     least = params.tracked_to_raw * raw_tracked
-    asked = f"tracked at least {f'{params.tracked_to_raw:g} x raw = ' if baseline else ''}{100 * least:.3g} %"
+    requirement = f"tracked at least {f'{params.tracked_to_raw:g} x raw = ' if baseline else ''}{100 * least:.3g} %"
     if tracked < least:
-        return Measurement("success", 0.0, reason=asked.replace("at least", f"{100 * tracked:.3g} %, under"))
+        return Measurement("success", 0.0, reason=requirement.replace("at least", f"{100 * tracked:.3g} %, under"))
     if not pseudo_ground_truth.has_truth(outcome):
-        return _success_beside_raw(outcome, baseline, params, asked)
+        return _success_without_truth(outcome, baseline, params, requirement)
     raw_m = _median(baseline, "ate_rmse_m")
     limit_m, spread_m = params.ate_limit_m or params.ate_to_raw * raw_m, outcome.value(SPREAD)
     if math.isnan(limit_m):
@@ -57,20 +55,20 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
         times = f"the spread of the true path (ate_limit_m is more: {_length(limit_m)}) = "
         limit_m = spread_m
     factor, unit = _unit(limit_m)
-    return _judged("ATE", factor * outcome.value("ate_rmse_m"), factor * limit_m, unit, times, asked)
+    return _judge("ATE", factor * outcome.value("ate_rmse_m"), factor * limit_m, unit, times, requirement)
 
 
 def _no_reference(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams) -> str:
-    """Why ground truth judges no run from this start, whatever the codec; empty where it does, or where there is none.
+    """Why ground truth can judge no run from this start, whatever the codec; empty if it can, or if there is none.
 
-    A limit above the spread of the true path would pass any estimate: the best similarity never leaves more.
+    A limit above the spread of the true path would pass any estimate, because no aligned estimate has a larger error.
     """
     spread_m, limit_m = outcome.value(SPREAD), params.ate_to_raw * _median(baseline, "ate_rmse_m")
     if not pseudo_ground_truth.has_truth(outcome):
         return ""
     if math.isnan(spread_m):
         before = "measured before the spread of the true path was; measure it again"
-        return next((str(each.reason) for each in outcome.measurements if each.metric == SPREAD), before)
+        return next((str(entry.reason) for entry in outcome.measurements if entry.metric == SPREAD), before)
     if params.ate_limit_m or not limit_m > spread_m:
         return ""
     return (
@@ -80,45 +78,48 @@ def _no_reference(outcome: Outcome, baseline: list[Outcome], params: TrajectoryP
     )
 
 
-def _success_beside_raw(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams, asked: str) -> Measurement:
+def _success_without_truth(
+    outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams, requirement: str
+) -> Measurement:
     """Without ground truth: whether the path is about as near to raw's paths as these are to each other."""
-    apart = pseudo_ground_truth.raw_disagreement_percent(baseline)
-    if math.isnan(apart):
+    disagreement = pseudo_ground_truth.raw_disagreement_percent(baseline)
+    if math.isnan(disagreement):
         return _missing("success", "no ground truth, and not two runs of raw to stand in for it; give start_offsets")
-    if apart > params.raw_agrees_percent:
-        reason = f"no ground truth, and raw's own runs are {apart:.3g} % of their length apart: too much to judge by"
+    if disagreement > params.raw_agrees_percent:
+        distance = f"{disagreement:.3g} % of their length"
+        reason = f"no ground truth, and raw's own runs are {distance} apart: too much to judge by"
         return _missing("success", reason)
     error = pseudo_ground_truth.raw_path_error(outcome, baseline)
     if math.isnan(error.value):
         return _missing("success", str(error.reason))
-    limit, times = params.ate_to_raw * apart, f"{params.ate_to_raw:g} x raw's own = "
-    return _judged("distance from raw's paths", error.value, limit, "% of their length", times, asked)
+    limit, times = params.ate_to_raw * disagreement, f"{params.ate_to_raw:g} x raw's own = "
+    return _judge("distance from raw's paths", error.value, limit, "% of their length", times, requirement)
 
 
-def _judged(what: str, value: float, limit: float, unit: str, times: str, asked: str) -> Measurement:
-    """Whether a value is within a limit, and in the reason what was asked, or how far it is beyond."""
+def _judge(what: str, value: float, limit: float, unit: str, times: str, requirement: str) -> Measurement:
+    """Whether a value is within a limit; the reason is the requirement, or how far the value is beyond the limit."""
     bound = f"{times}{limit:.3g} {unit}"
     if value <= limit:
-        return Measurement("success", 1.0, reason=f"{what} at most {bound}, {asked}")
+        return Measurement("success", 1.0, reason=f"{what} at most {bound}, {requirement}")
     reason = f"{what} is not known" if math.isnan(value) else f"{what} {value:.3g} {unit}, over {bound}"
     return Measurement("success", 0.0, reason=reason)
 
 
 def starts_in_time(outcome: Outcome, same: Outcome, params: TrajectoryParams) -> Measurement:
     """Whether the first map comes at most `delay_frames` later than in the raw codec's run from the same start."""
-    taken, raw_taken = (run.value("initialisation_frames") for run in (outcome, same))
+    frames, raw_frames = (run.value("initialisation_frames") for run in (outcome, same))
     if same.value("tracked_fraction") == 0.0:
         return _missing("starts_in_time", "raw frames give no map from this start either")
-    if math.isnan(taken) or math.isnan(raw_taken):
+    if math.isnan(frames) or math.isnan(raw_frames):
         return _missing("starts_in_time", "measured before frames up to the first map were counted; measure it again")
-    if taken <= raw_taken + params.delay_frames:
+    if frames <= raw_frames + params.delay_frames:
         return Measurement("starts_in_time", 1.0)
-    late = f"the first map comes {taken - raw_taken:.0f} frames later than raw's, over {params.delay_frames}"
+    late = f"the first map comes {frames - raw_frames:.0f} frames later than raw's, over {params.delay_frames}"
     return Measurement("starts_in_time", 0.0, reason=late)
 
 
 def _median(runs: list[Outcome], metric: str) -> float:
-    """Over the runs that have the metric; NaN where none has."""
+    """The median of a metric over the runs that have it; NaN if none has."""
     values = [value for run in runs if not math.isnan(value := run.value(metric))]
     return float(np.median(values)) if values else math.nan
 

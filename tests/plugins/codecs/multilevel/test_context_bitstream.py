@@ -60,18 +60,18 @@ def test_sizes_are_described() -> None:
 @pytest.mark.parametrize(
     ("offset", "layout", "value", "reason"),
     [
-        (4, "B", 4, "version 4 is not supported"),
+        (4, "B", 4, "version 4 is not"),
         (5, "B", 0, "profile 0"),
         (6, "B", 8 | 32, "flags"),
         (7, "B", 9, "colour 9"),
-        (7, "B", 1, "one channel with colour rgb"),
+        (7, "B", 1, "channel .*colour rgb"),
         (8, "B", 3, "table 3"),
         (9, "B", 0, "chroma steps 0"),
-        (10, "H", 1, "CRC-32 of the header|truncated"),
+        (10, "H", 1, "CRC-32.* header|truncated"),
         (12, "I", 0, "width 0"),
         (12, "I", 2**31, "samples allowed"),
         (16, "I", 2**19, "cannot come from"),
-        (16, "I", 53, "truncated|trailing|out of range"),
+        (16, "I", 53, "truncated|trailing|range"),
         (20, "d", float("nan"), "qf nan"),
         (20, "d", 0.0, "qf 0.0"),
         (28, "b", 63, "biases"),
@@ -85,7 +85,7 @@ def test_header_faults(offset: int, layout: str, value: float, reason: str) -> N
 def test_payload_faults() -> None:
     stream = stream_of()
     refused(repaired(stream[:-4] + b"\0"), "trailing")
-    refused(repaired(stream[:-5]), "truncated|trailing|out of range")
+    refused(repaired(stream[:-5]), "truncated|trailing|range")
     refused(stream[:-1], "CRC-32")
     refused(stream[:20], "truncated")
     refused(repaired(stream[:30]), "truncated")
@@ -119,5 +119,5 @@ def test_nothing_can_be_salvaged_without_a_header_or_restart_points() -> None:
         unpack_intact(stream_of())
     stream = bytearray(stream_of(3, restart=1))
     stream[56] ^= 1
-    with pytest.raises(BitstreamError, match="CRC-32 of the header"):
+    with pytest.raises(BitstreamError, match=r"CRC-32.* header"):
         unpack_intact(bytes(stream))

@@ -15,7 +15,7 @@ from codecbench.core.contracts.image import gray_from_image
 from codecbench.core.counting.trace import CountingTrace
 from codecbench.plugins.codecs.multilevel import Multilevel, MultilevelParams
 from codecbench.plugins.codecs.multilevel.context.profile import salvage
-from codecbench.plugins.evaluators.quality.psnr import psnr_db
+from codecbench.plugins.evaluators.fidelity import psnr_db
 
 
 def codec(**params: Any) -> Multilevel:

@@ -81,7 +81,7 @@ def test_colliding_keys_are_refused_with_the_tuples() -> None:
         return check_keys(manual_keys([0.25, 0.5, 0.75]), radix, level)
 
     values = np.array([2, 1, 0, 0, 2, 0, 1, 0, 1], np.int32)  # 1.0, 1.0 and 1.0 quarters of four
-    with pytest.raises(KeyCollision, match=r"level 1: the digits \(0, 2, 0\) and \(2, 1, 0\)"):
+    with pytest.raises(KeyCollision, match=r"^level 1: .*\(0, 2, 0\) and \(2, 1, 0\)"):
         minimize_levels(values, 1, make, NULL_TRACE)
 
 

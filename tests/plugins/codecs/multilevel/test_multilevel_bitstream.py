@@ -56,7 +56,7 @@ def searched() -> bytes:
 
 
 def test_foreign_and_short_bytes(stream: bytes) -> None:
-    refused(b"", "not a multi-level bitstream: starts with nothing")
+    refused(b"", "starts with nothing")
     refused(b"\x89PNG\r\n\x1a\n" + bytes(60), "not a multi-level bitstream: starts with 89504e47")
     for size in range(1, 40):
         refused(stream[:size], "truncated|damaged")
@@ -79,11 +79,11 @@ def test_bad_checksum(stream: bytes) -> None:
 @pytest.mark.parametrize(
     ("offset", "layout", "value", "reason"),
     [
-        (4, "B", 4, "version 4 is not supported"),
+        (4, "B", 4, "^version 4 is not supported, only [123], [123] and [123]$"),
         (5, "B", 1, "profile 1"),
         (6, "B", 8, "flags 8"),
         (7, "B", 4, "colour 4"),
-        (7, "B", 1, "one channel with colour rgb"),
+        (7, "B", 1, "channel .*colour rgb"),
         (8, "B", 3, "table 3"),
         (9, "B", 0, "levels 0"),
         (9, "B", 17, "levels 17"),
@@ -94,8 +94,8 @@ def test_bad_checksum(stream: bytes) -> None:
         (16, "I", 0, "height 0"),
         (12, "I", 2**32 - 1, "samples allowed"),
         (16, "I", 2**31, "samples allowed"),
-        (16, "I", 100_000, "cannot come from a payload"),
-        (16, "I", 69, "counts do not sum"),
+        (16, "I", 100_000, "x100000 pixels .*payload"),
+        (16, "I", 69, "counts do not"),
         (20, "d", 0.0, "qf 0.0"),
         (20, "d", -5.0, "qf -5.0"),
         (20, "d", float("nan"), "qf nan"),
@@ -105,9 +105,9 @@ def test_bad_checksum(stream: bytes) -> None:
         (32, "I", 0, "number of digits 0"),
         (32, "I", 2**32 - 1, "number of digits"),
         (32, "I", 300, "out of range"),
-        (36, "I", 0, "level 1: 0 table entries"),
-        (36, "I", 10**6, "level 1: 1000000 table entries for 1707 groups"),
-        (40, "I", 2**32 - 1, "truncated: table of level 1"),
+        (36, "I", 0, "level 1: 0 table"),
+        (36, "I", 10**6, "1000000 table .*1707 groups"),
+        (40, "I", 2**32 - 1, "truncated: table .*level 1 "),
         (40, "I", 3, "truncated|trailing|out of range|counts|payload"),
     ],
 )
@@ -123,11 +123,11 @@ def with_level(stream: bytes, **changes: object) -> bytes:
 def test_section_faults(stream: bytes) -> None:
     parts = unpack(stream)
     (level,) = parts.levels
-    refused(with_level(stream, table=level.table + b"\1"), "table of level 1: trailing bytes")
-    refused(with_level(stream, table=level.table + b"\0"), "table of level 1: trailing bytes")
-    refused(with_level(stream, table=level.table[:-1]), "table of level 1: truncated")
+    refused(with_level(stream, table=level.table + b"\1"), "level 1: trailing")
+    refused(with_level(stream, table=level.table + b"\0"), "level 1: trailing")
+    refused(with_level(stream, table=level.table[:-1]), "level 1: truncated")
     refused(with_level(stream, table=level.table[:-9]), "table of level 1")
-    refused(with_level(stream, entries=level.entries - 1), "counts do not sum")
+    refused(with_level(stream, entries=level.entries - 1), "counts do not")
     refused(with_level(stream, entries=level.entries + 1), "table of level 1")
     refused(pack(Bitstream(parts.header, parts.levels, parts.payload + b"\0")), "payload: trailing bytes")
     refused(pack(Bitstream(parts.header, parts.levels, parts.payload[:-1])), "payload: truncated|histogram")
@@ -139,12 +139,12 @@ def test_section_faults(stream: bytes) -> None:
 @pytest.mark.parametrize(
     ("keys", "reason"),
     [
-        ([0, 1, 2], "key 0 is not positive"),
-        ([1, -5, 2], "key -5 is not positive"),
-        ([1, 2, 3], "keys are not one-to-one"),
-        ([1, 2, 2**61], "codes exceed 62 bits"),
+        ([0, 1, 2], "key 0 is not"),
+        ([1, -5, 2], "key -5 is not"),
+        ([1, 2, 3], "one-to-one"),
+        ([1, 2, 2**61], "codes exceed 62"),
         ([1, 2, 2**40], "not super-increasing"),
-        ([1, 1000, 1000_000], "belongs to no tuple"),
+        ([1, 1000, 1000_000], "to no tuple"),
     ],
 )
 def test_key_faults(searched: bytes, keys: list[int], reason: str) -> None:
@@ -153,7 +153,7 @@ def test_key_faults(searched: bytes, keys: list[int], reason: str) -> None:
 
 def test_codes_beyond_the_largest(searched: bytes) -> None:
     (level,) = unpack(searched).levels
-    refused(changed(searched, 32, "I", unpack(searched).header.radix - 20), "out of range|belongs to no tuple")
+    refused(changed(searched, 32, "I", unpack(searched).header.radix - 20), "range|no tuple")
     assert level.keys[0] == 1
 
 

@@ -124,9 +124,9 @@ def test_chroma_is_shifted_and_luma_is_not() -> None:
 
 def test_manual_keys_that_collide_are_refused() -> None:
     image = textured(64, 64)
-    with pytest.raises(KeyCollision, match=r"level 1: the digits \(.*\) and \(.*\) get the same code"):
+    with pytest.raises(KeyCollision, match=r"level 1: .*\(\d+, .*\) and \(\d+, .* search"):
         Multilevel.create(keys=(0.31, 0.52, 0.87), decoding="search").encode(image)
-    with pytest.raises(KeyCollision, match=r"level 1: the digits"):
+    with pytest.raises(KeyCollision, match=r"level 1: .*\(\d+, .*\) and \(\d+, "):
         Multilevel.create(keys=(0.25, 0.5, 0.75)).encode(image)
 
 

@@ -83,7 +83,7 @@ def test_a_packet_does_not_decode_on_another_memory() -> None:
     packets = packets_of(MultilevelStream.create(), gliding_pictures(4, 40, 56, 1))
     decoder = MultilevelStream.create().decoder()
     decoder.push(packets[0])
-    with pytest.raises(BitstreamError, match="it follows another packet"):
+    with pytest.raises(BitstreamError, match="follows another packet"):
         decoder.push(packets[2])
 
 
@@ -102,5 +102,5 @@ def test_no_damage_goes_unnoticed() -> None:
 def test_a_picture_of_another_shape_is_refused() -> None:
     encoder = MultilevelStream.create().encoder(30)
     encoder.push(gliding_pictures(1, 40, 56, 1)[0])
-    with pytest.raises(ImageError, match="in a stream of shape"):
+    with pytest.raises(ImageError, match=r"\(40, 48\) .* stream .*\(40, 56\)"):
         encoder.push(gliding_pictures(1, 40, 48, 1)[0])

@@ -196,30 +196,30 @@ def test_neutral_chroma_of_gray_pictures_costs_next_to_nothing(codec_class: Any)
     ("codec_class", "setting", "said"),
     [
         (H264, {"crf": 20, "qp": 20}, "crf and qp are given; a stream is coded by one of crf, qp, bitrate_kbps"),
-        (H264, {"crf": 60}, r"crf of libx264 is within 0..51, got 60"),
-        (H264, {"preset": "quick"}, "no preset 'quick'; it has ultrafast, superfast"),
-        (H264, {"vbv_ms": 100}, "vbv_ms bounds a bitrate; give bitrate_kbps with it"),
-        (H264, {"pixel_format": "rgb"}, "it codes gray, yuv420p, yuv444p"),
-        (H264, {"gop": 1, "intra_refresh": True}, "gop has to be 2 or more"),
-        (H264, {"intra_refresh": True, "latency": "any"}, "latency is low with it"),
+        (H264, {"crf": 60}, r"of libx264 .* 0\.\.51, got 60"),
+        (H264, {"preset": "quick"}, "'quick'; .* ultrafast, superfast"),
+        (H264, {"vbv_ms": 100}, "vbv_ms .*bitrate_kbps"),
+        (H264, {"pixel_format": "rgb"}, "gray, yuv420p, yuv444p"),
+        (H264, {"gop": 1, "intra_refresh": True}, "gop .* 2 or more"),
+        (H264, {"intra_refresh": True, "latency": "any"}, "latency is low"),
         (H264, {"encoder": ["libx264"]}, "encoder"),
         (H264, {"pixel_format": None}, "pixel_format"),
-        (H264, {"encoder": "h264_nvenc", "preset": "veryfast"}, "h264_nvenc has no preset 'veryfast'; it has p1, p2"),
-        (H264, {"encoder": "h264_v4l2m2m", "crf": 20}, "h264_v4l2m2m does not code by crf; it codes by bitrate_kbps"),
-        (Hevc, {"crf": 20, "bitrate_kbps": 100}, "crf and bitrate_kbps are given"),
-        (Av1, {"pixel_format": "gray"}, "it codes yuv420p .gray pictures with neutral chroma, and they come back gray"),
-        (Av1, {"pixel_format": "yuv444p"}, "libsvtav1 does not code pixel_format 'yuv444p'"),
-        (Av1, {"crf": 20.5}, "crf of libsvtav1 is a whole number"),
-        (Av1, {"intra_refresh": True}, "libsvtav1 has no intra_refresh after which pictures are whole; libx264 has"),
-        (Hevc, {"intra_refresh": True}, "libx265 has no intra_refresh"),
-        (Vp9, {"bitrate_kbps": 200, "vbv_ms": 200, "latency": "any"}, "keeps to no vbv_ms where it looks ahead"),
-        (Av1, {"preset": "fast"}, "it has 0, 1, 2"),
-        (Vp9, {"pixel_format": "gray"}, "it codes yuv420p, yuv444p"),
-        (Mjpeg, {"crf": 20}, "mjpeg does not code by crf; it codes by qp"),
-        (Mjpeg, {"gop": 10}, "codes each picture on its own; gop is 1 or intra_only, not 10"),
-        (Mjpeg, {"latency": "any"}, "never holds a picture back"),
-        (Ffv1, {"qp": 5}, "ffv1 does not code by qp; it codes by none"),
-        (Ffv1, {"preset": 3}, "ffv1 has no preset 3; it has none"),
+        (H264, {"encoder": "h264_nvenc", "preset": "veryfast"}, "nvenc .*'veryfast'; .* p1, p2"),
+        (H264, {"encoder": "h264_v4l2m2m", "crf": 20}, "v4l2m2m .* crf; .* bitrate_"),
+        (Hevc, {"crf": 20, "bitrate_kbps": 100}, "crf .*bitrate_kbps"),
+        (Av1, {"pixel_format": "gray"}, "codes yuv420p .gray"),
+        (Av1, {"pixel_format": "yuv444p"}, "libsvtav1 .*'yuv444p'"),
+        (Av1, {"crf": 20.5}, "libsvtav1 .*whole number"),
+        (Av1, {"intra_refresh": True}, "libsvtav1 .*intra_refresh"),
+        (Hevc, {"intra_refresh": True}, "libx265 .*intra_refresh"),
+        (Vp9, {"bitrate_kbps": 200, "vbv_ms": 200, "latency": "any"}, "to no vbv_ms"),
+        (Av1, {"preset": "fast"}, "'fast'; .* 0, 1, 2"),
+        (Vp9, {"pixel_format": "gray"}, "codes yuv420p, yuv444p"),
+        (Mjpeg, {"crf": 20}, "mjpeg .* crf; .* qp"),
+        (Mjpeg, {"gop": 10}, "gop .* 1 .*, not 10"),
+        (Mjpeg, {"latency": "any"}, "mjpeg never holds"),
+        (Ffv1, {"qp": 5}, "ffv1 .* qp; .* none"),
+        (Ffv1, {"preset": 3}, "ffv1 .*preset 3; .* none"),
     ],
 )
 def test_what_an_encoder_cannot_do_is_said_with_what_it_can(
@@ -240,7 +240,7 @@ def test_two_spellings_of_a_setting_are_one() -> None:
 def test_a_picture_of_another_shape_is_refused(codec_class: Any) -> None:
     encoder = codec_class.create().encoder(30)
     encoder.push(GRAY[0])
-    with pytest.raises(ImageError, match=r"shape \(96, 100\) in a stream of shape \(96, 128\)"):
+    with pytest.raises(ImageError, match=r"\(96, 100\) .* stream .*\(96, 128\)"):
         encoder.push(np.ascontiguousarray(GRAY[0][:, :100]))
 
 
@@ -311,14 +311,14 @@ def test_a_missing_encoder_is_said_with_the_remedy(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(av, "Codec", without_x265)
     H264.create()
-    with pytest.raises(Unsupported, match=r"this build of PyAV has no libx265; run: pip install"):
+    with pytest.raises(Unsupported, match=r"no libx265; .*pip"):
         Hevc.create()
 
 
 def test_a_missing_library_is_said_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     library.load_av.cache_clear()
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(Unsupported, match=r"run: pip install 'codecbench\[video\]'"):
+    with pytest.raises(Unsupported, match=r"pip install .*\[video\]"):
         H264.create()
     monkeypatch.undo()
     library.load_av.cache_clear()
@@ -335,7 +335,7 @@ def test_hardware_is_used_where_it_is_and_refused_with_a_reason_where_not(encode
         assert [picture.frame for picture in decoded_of(codec, packets)] == [0, 1, 2, 3]
         return
     assert encoder in reason
-    assert "set encoder: libx264, which needs no hardware" in reason
+    assert "set encoder: libx264" in reason
     assert "avcodec_open2" not in reason
 
 
@@ -352,8 +352,8 @@ def test_without_its_hardware_an_encoder_says_what_it_needs(encoder: str, monkey
 
     monkeypatch.setattr(av, "Codec", lambda name, mode="r": None)
     monkeypatch.setattr(library.load_av(), "CodecContext", type("Opener", (), {"create": lambda name, mode: Shut()}))
-    said = rf"{encoder} cannot be opened for 640x480 \(Operation not permitted\): it needs .*{HARDWARE[encoder]}.*; "
-    with pytest.raises(Unsupported, match=said + "if there is none, set encoder: libx264, which needs no hardware"):
+    said = rf"^{encoder} .* 640x480 \(Operation not permitted\): .*{HARDWARE[encoder]}.*; .*set encoder: libx264"
+    with pytest.raises(Unsupported, match=said):
         H264.create(encoder=encoder)
 
 
@@ -365,7 +365,7 @@ def test_a_build_without_a_hardware_encoder_is_no_matter_of_reinstalling(
         raise ValueError(f"UnknownCodecError({name!r})")
 
     monkeypatch.setattr(av, "Codec", without)
-    with pytest.raises(Unsupported, match=f"no {encoder}; its wheels may lack it: set encoder: libx264") as refused:
+    with pytest.raises(Unsupported, match=f"no {encoder}; .*wheels .*encoder: libx264") as refused:
         H264.create(encoder=encoder)
     assert "pip install" not in str(refused.value)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import resource
 from types import SimpleNamespace
 from typing import Any
@@ -164,7 +165,9 @@ def test_streams_of_the_others_are_refused(codec_class: Any) -> None:
     pictures = gliding_pictures(2, 48, 64, 1)
     for other in CODECS:
         if other is not codec_class:
-            with pytest.raises(BitstreamError, match="not the start of a stream of this codec"):
+            with pytest.raises(
+                BitstreamError, match=f"{re.escape(repr(other.magic))} .*{re.escape(repr(codec_class.magic))}"
+            ):
                 codec_class.create().decoder().push(packets_of(other.create(), pictures)[0])
 
 

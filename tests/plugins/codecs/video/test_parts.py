@@ -29,11 +29,11 @@ def test_a_header_is_eleven_bytes_and_comes_back() -> None:
     ("data", "said"),
     [
         (b"", "not the start"),
-        (b"OTHR" + bytes(20), "not the start"),
-        (b"TEST" + bytes(20), "0x0 is not within"),
-        (b"TEST\x04\x01\x00\x01\x00\x00\x00x", "says what no encoder writes"),
-        (b"TEST\x00\xff\xff\xff\xff\x00\x00x", "65535x65535 is not within"),
-        (b"TEST\x00\x01\x00\x01\x00\x05\x00xyz", "ends within its header"),
+        (b"OTHR" + bytes(20), "^not the start of a stream of this codec: b'OTHR' instead of b'TEST'$"),
+        (b"TEST" + bytes(20), "^0x0 .*pixels"),
+        (b"TEST\x04\x01\x00\x01\x00\x00\x00x", "0x4 says"),
+        (b"TEST\x00\xff\xff\xff\xff\x00\x00x", "^65535x65535 .*pixels"),
+        (b"TEST\x00\x01\x00\x01\x00\x05\x00xyz", "14 bytes .*header of 16"),
     ],
 )
 def test_a_header_that_no_encoder_writes_is_refused(data: bytes, said: str) -> None:
@@ -85,5 +85,6 @@ def test_padding_repeats_the_edge() -> None:
 
 def test_results_say_what_becomes_of_colour() -> None:
     said = {pixel_format: H264.create(pixel_format=pixel_format).remark() for pixel_format in ("gray", "yuv420p")}
-    assert said == {"gray": "colour is not coded (gray)", "yuv420p": "colour, if any, is coded at half size (yuv420p)"}
+    assert "not coded (gray)" in said["gray"]
+    assert "half size (yuv420p)" in said["yuv420p"]
     assert Ffv1.create().remark() == ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 
 import numpy as np
@@ -25,6 +26,11 @@ def message(**values):
     return str(caught.value)
 
 
+def quoted(text):
+    """What a message names as it is typed: parameters and their values."""
+    return re.findall(r"`([^`]+)`", text)
+
+
 def path_for(folder, kind):
     return folder / ("office.bag" if kind == "bag" else "office")
 
@@ -41,7 +47,9 @@ def test_frames_times_and_camera_are_those_that_were_written(tmp_path, kind, com
         assert (frame.index, frame.timestamp_s) == (index, sequence.timestamps_s[index])
     assert sequence.camera == Camera(32, 24, 30.0, 31.0, 15.5, 11.5, (0.1, -0.05, 0.001, -0.002, 0.01))
     assert sequence.ground_truth is None
-    assert sequence.notes[0] == "/cam/image_raw: 6 of sensor_msgs/msg/Image, 32x24 rgb8"
+    topic, said = sequence.notes[0].split(": ")
+    assert topic == "/cam/image_raw"
+    assert re.fullmatch(r"6 .*/Image, 32x24 rgb8", said)
     assert not any("damaged" in note for note in sequence.notes)
 
 
@@ -101,7 +109,9 @@ def test_several_topics_of_pictures_are_listed_and_one_is_chosen_by_name(tmp_pat
         "  /left/image: 3 of sensor_msgs/msg/Image, 32x24 rgb8\n"
         "  /right/image: 1 of sensor_msgs/msg/Image, 16x12 mono8"
     )
-    assert "topic '/middle' holds no pictures; choose one" in message(path=path, topic="/middle")
+    said = message(path=path, topic="/middle")
+    assert said.splitlines()[0].startswith(f"{path}: topic '/middle' ")
+    assert re.findall(r"^  (/\S+): ", said, re.MULTILINE) == ["/left/image", "/right/image"]
     right = Bag.create(path=path, topic="/right/image").open()
     assert (right.channels, right.frame_rate_hz, right.camera.fx) == (1, 30.0, 9.0)
     np.testing.assert_array_equal(right.read(0).image, picture(9, (12, 16)))
@@ -114,28 +124,27 @@ def test_depths_are_not_offered_as_pictures(tmp_path):
         bag.write("/depth", bag.image(np.zeros((24, 32), np.float32), "32FC1", time_ns(0)), time_ns(0))
         bag.write("/depth/small", bag.compressed_image(b"x", "32FC1; compressedDepth png", time_ns(0)), time_ns(0))
         bag.write("/left", bag.image(picture(1), "rgb8", time_ns(0)), time_ns(0))
-    assert Bag.create(path=path).open().origin.kind == "ROS 2 bag, topic /left"
-    assert message(path=path, topic="/x").endswith(
-        "choose one with `topic`:\n  /left: 1 of sensor_msgs/msg/Image, 32x24 rgb8"
-    )
-    assert "encoding '32FC1' is not read" in message(path=path, topic="/depth")
+    assert Bag.create(path=path).open().origin.kind.endswith(" /left")
+    assert re.findall(r"^  (/\S+): ", message(path=path, topic="/x"), re.MULTILINE) == ["/left"]
+    assert re.search(r"/depth\[0\]: .*'32FC1'", message(path=path, topic="/depth"))
 
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_what_it_was_opened_from(tmp_path, kind):
     path = write_pictures(path_for(tmp_path, kind), kind, count=2)
     origin = Bag.create(path=path).open().origin
-    assert origin == Origin(f"ROS {1 if kind == 'bag' else 2} bag, topic /cam/image_raw", "camera_info")
+    topic = "/cam/image_raw"
+    assert origin == Origin(f"ROS {1 if kind == 'bag' else 2} bag, topic {topic}", "camera_info")
     if kind == "mcap":
-        assert Bag.create(path=bag_file(path, kind)).open().origin.kind == "MCAP file, topic /cam/image_raw"
+        assert Bag.create(path=bag_file(path, kind)).open().origin.kind == f"MCAP file, topic {topic}"
 
 
 def test_a_bag_without_pictures_lists_what_it_has(tmp_path):
     with BagWriter(tmp_path / "a.bag", "bag") as bag:
         bag.write("/cam/camera_info", bag.camera_info(), 5)
-    assert "holds no pictures; topics: /cam/camera_info (sensor_msgs/msg/CameraInfo, 1)" in message(
-        path=tmp_path / "a.bag"
-    )
+    said = message(path=tmp_path / "a.bag")
+    assert "holds no pictures" in said
+    assert said.endswith(" /cam/camera_info (sensor_msgs/msg/CameraInfo, 1)")
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -146,7 +155,7 @@ def test_times_of_the_recording_are_taken_where_headers_have_none(tmp_path, kind
             bag.write("/image", bag.image(picture(number), "rgb8", 0), time_ns(number))
     sequence = Bag.create(path=path).open()
     np.testing.assert_allclose(sequence.timestamps_s, (START_NS + np.arange(3) * STEP_NS) / 1e9)
-    assert "times are those of the recording, because headers have none" in sequence.notes
+    assert any("headers have none" in note for note in sequence.notes)
 
 
 def test_times_of_the_recording_can_be_asked_for(tmp_path):
@@ -189,7 +198,8 @@ def test_rational_cameras_are_read(tmp_path):
     camera = camera_of(tmp_path, model="rational_polynomial", distortion=numbers).open().camera
     assert (camera.distortion, camera.model) == (numbers, "pinhole")
     dataset = Bag.create(path=path_for(tmp_path, "bag"))
-    assert "camera: /cam/camera_info, 32x24, fx 30, rational distortion (k1 to k6)" in dataset.open().notes
+    (note,) = (note for note in dataset.open().notes if note.startswith("camera: /cam/camera_info, 32x24, fx 30, "))
+    assert note.endswith("(k1 to k6)")
 
 
 def test_a_rational_camera_whose_denominator_is_1_is_a_plain_one(tmp_path):
@@ -201,14 +211,17 @@ def test_a_rational_camera_whose_denominator_is_1_is_a_plain_one(tmp_path):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"model": "rational_polynomial", "distortion": (0.1,) * 12}, "with more than 8 numbers is not known"),
+        (
+            {"model": "rational_polynomial", "distortion": (0.1,) * 12},
+            "distortion model 'rational_polynomial' with more than 8 numbers is not known",
+        ),
         (
             {"model": "thin_prism", "distortion": (0.1,) * 12},
-            "distortion model 'thin_prism' with 12 numbers; known are",
+            "distortion model 'thin_prism' with 12 numbers; known are plumb_bob, ",
         ),
-        ({"model": "plumb_bob", "distortion": (0.1,)}, "'plumb_bob' with 1 numbers"),
-        ({"fx": -4.0}, "with focal lengths -4.0, 31.0 is no camera"),
-        ({"fx": float("nan")}, "not finite"),
+        ({"model": "plumb_bob", "distortion": (0.1,)}, "'plumb_bob' with 1 "),
+        ({"fx": -4.0}, "/cam/camera_info[0]: 32x24 with focal lengths -4.0, 31.0 is no camera"),
+        ({"fx": float("nan")}, "/cam/camera_info[0]: holds a number that is not finite"),
         ({"size": (64, 48)}, "is 32x24, but the calibration is for 64x48"),
     ],
 )
@@ -239,20 +252,23 @@ def test_a_calibration_file_takes_the_place_of_the_topic(tmp_path):
     with pytest.raises(ValidationError, match="not both"):
         Bag.create(path=dataset.params.path, calibration=file, camera="/cam/camera_info")
     assert Bag.create(path=dataset.params.path, camera="/cam/camera_info").open().camera.fx == 30.0
-    assert "camera '/x' is no topic of sensor_msgs/msg/CameraInfo" in message(path=dataset.params.path, camera="/x")
+    said = message(path=dataset.params.path, camera="/x")
+    assert re.search(r"'/x' .* sensor_msgs/msg/CameraInfo.*\['/cam/camera_info'\]", said)
 
 
 def test_a_field_of_view_is_used_where_there_is_no_calibration(tmp_path):
     path = write_pictures(tmp_path / "bare.bag", "bag", camera=False)
     sequence = Bag.create(path=path, fov_deg=90).open()
-    assert (sequence.camera.fx, sequence.origin.camera) == (pytest.approx(16), "the field of view")
-    assert sequence.notes[-1] == "the camera is an ideal one of 90 degrees: calibrate it before you trust a path"
+    assert sequence.camera.fx == pytest.approx(16)
+    assert "field of view" in sequence.origin.camera
+    assert "ideal one of 90 " in sequence.notes[-1]
     path = write_pictures(tmp_path / "known.bag", "bag")
     sequence = Bag.create(path=path, fov_deg=90).open()
     assert sequence.camera.fx == 30.0
-    assert "(`fov_deg`) is not used: the camera is known from camera_info" in sequence.notes[-1]
+    assert quoted(sequence.notes[-1]) == ["fov_deg"]
+    assert sequence.notes[-1].endswith("from camera_info")
     assert Bag.create(path=path, fov_deg=90, camera="none").open().camera.fx == pytest.approx(16)
-    with pytest.raises(ValidationError, match="give `camera` or `fov_deg`, not both"):
+    with pytest.raises(ValidationError, match=r"`camera` .*`fov_deg`"):
         Bag.create(path=path, fov_deg=90, camera="/cam/camera_info")
 
 
@@ -261,20 +277,21 @@ def test_a_folder_of_several_recordings_is_refused_with_their_names(tmp_path):
     for name in ("walk", "drive"):
         file = bag_file(write_pictures(tmp_path / name, "mcap", count=3), "mcap")
         shutil.copy(file, tmp_path)
-    assert message(path=tmp_path).endswith(
-        "holds several recordings; `path` names one of them: b.bag, drive.mcap, walk.mcap"
-    )
+    said = message(path=tmp_path)
+    assert said.startswith(f"{tmp_path}: ")
+    assert said.endswith(": b.bag, drive.mcap, walk.mcap")
 
 
 def test_paths_that_are_no_bag(tmp_path):
-    assert "is not there; `path` names a .bag, .mcap or .db3 file" in message(path=tmp_path / "none.bag")
-    assert "holds no .mcap or .db3 file" in message(path=tmp_path)
+    said = f"{tmp_path}/none.bag: is not there; `path` names a .bag, .mcap or .db3 file or a ROS 2 bag's folder"
+    assert message(path=tmp_path / "none.bag") == said
+    assert "holds no .mcap" in message(path=tmp_path)
     (tmp_path / "a.txt").write_text("x")
     assert "ends in '.txt'" in message(path=tmp_path / "a.txt")
     (tmp_path / "a_0.db3.zstd").write_text("x")
-    assert "a_0.db3.zstd: is compressed as a whole" in message(path=tmp_path)
+    assert quoted(message(path=tmp_path)) == ["zstd -d"]
     path = write_pictures(tmp_path / "b.bag", "bag", count=2)
-    assert "stop is 9, but there are 2 frames" in message(path=path, stop=9)
+    assert re.search(r"b\.bag .*: stop .*9.* 2 ", message(path=path, stop=9))
     with pytest.raises(DatasetError, match=r"not in 0\.\.1"):
         Bag.create(path=path).open().read(2)
 
@@ -298,7 +315,7 @@ def test_what_is_damaged_or_unreadable_costs_itself(tmp_path):
     with pytest.raises(DatasetError) as caught:
         Bag.create(path=tmp_path / "a.bag").open()
     assert caught.value.without == {"camera": "none"}
-    assert str(caught.value).endswith("give `calibration: FILE`, or `camera: none` to go without")
+    assert quoted(str(caught.value)) == ["calibration: FILE", "camera: none"]
     sequence = Bag.create(path=tmp_path / "a.bag", camera="none").open()
     with pytest.raises(DatasetError) as caught:
         sequence.read(1)

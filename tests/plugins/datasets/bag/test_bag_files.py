@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import sqlite3
 import subprocess
 import sys
@@ -44,7 +45,10 @@ def test_a_file_that_is_cut_names_the_command_that_recovers_it(whole, tmp_path):
     for percent in (99, 50):
         cut = tmp_path / f"cut{percent}{file.suffix}"
         cut.write_bytes(content[: len(content) * percent // 100])
-        with pytest.raises(DatasetError, match=rf"{cut.name}: .* `.*{REMEDIES[file.suffix]}.*` recovers what is left"):
+        said = (
+            rf"{cut.name}: cannot be read, is damaged or was not closed \(.+\); `.*{REMEDIES[file.suffix]}.*` recovers"
+        )
+        with pytest.raises(DatasetError, match=said):
             Bag.create(path=cut).open()
 
 
@@ -86,7 +90,9 @@ def test_a_sqlite_file_with_its_log_beside_it_is_read_without_it_and_says_how_to
     (file.parent / f"{file.name}-wal").write_bytes(b"whatever")
     sequence = Bag.create(path=file).open()
     assert len(sequence) == 4
-    assert "what is only in a.db3-wal is not read: `sqlite3 a.db3 'PRAGMA wal_checkpoint'`" in sequence.notes[0]
+    assert "a.db3-wal" in sequence.notes[0]
+    (command,) = re.findall("`(.*?)`", sequence.notes[0])
+    assert shlex.split(command) == ["sqlite3", "a.db3", "PRAGMA wal_checkpoint"]
 
 
 def test_a_file_that_is_cut_anywhere_gives_true_frames_or_an_error(whole, tmp_path):
@@ -130,7 +136,7 @@ def test_a_chunk_that_is_damaged_inside_ends_the_frames_before_it(tmp_path):
     path.write_bytes(content)
     sequence = Bag.create(path=path).open()
     assert [frame.image[0, 0].tolist() for frame in sequence] == [picture(n)[0, 0].tolist() for n in range(4)]
-    assert any(note.startswith("only 4 of 9 frames are read, up to the damage: ") for note in sequence.notes)
+    assert any(note.startswith("only 4 of 9 frames") for note in sequence.notes)
 
 
 def test_empty_files_and_other_files_are_refused(tmp_path):
@@ -147,7 +153,7 @@ def test_a_view_in_the_place_of_a_table_is_refused(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("ALTER TABLE messages RENAME TO real_messages")
         connection.execute("CREATE VIEW messages AS SELECT * FROM real_messages")
-    with pytest.raises(DatasetError, match=r"a\.db3: cannot be read"):
+    with pytest.raises(DatasetError, match=r"a\.db3: cannot be "):
         Bag.create(path=path).open()
 
 
@@ -167,7 +173,7 @@ def test_a_topic_of_two_types_is_refused(tmp_path):
             message = bag.image(picture(0), "rgb8", 1) if name == "Image" else bag.camera_info()
             bag.write("/image", message, 5)
         bag_file(tmp_path / name, "mcap").rename(folder / f"{number}.mcap")
-    with pytest.raises(DatasetError, match="topic /image has messages of"):
+    with pytest.raises(DatasetError, match=r" /image .*/CameraInfo'.*/Image'"):
         Bag.create(path=folder).open()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 
@@ -61,7 +62,7 @@ def test_eight_bits_are_kept(tmp_path, encoding, samples, expected, padding):
 def test_sixteen_bits_become_their_upper_eight(tmp_path, encoding, samples, big):
     sequence = opened(tmp_path, lambda bag: bag.image(samples, encoding, time_ns(0), 2, big))
     np.testing.assert_array_equal(sequence.read(0).image, samples // 256)
-    assert sequence.notes[1].startswith("samples of 16 bits become 8 by their bits 8 to 15 (`bits: 16`); the largest")
+    assert re.findall(r"\d+", sequence.notes[1]) == ["16", "8", "8", "15", "16", str(samples.max())]
 
 
 def test_samples_of_twelve_bits_become_the_upper_eight_of_these(tmp_path):
@@ -73,7 +74,8 @@ def test_samples_of_twelve_bits_become_the_upper_eight_of_these(tmp_path):
     np.testing.assert_array_equal(sequence.read(0).image, expected)
     samples[0, 1] = 7
     sequence = opened(tmp_path, lambda bag: bag.image(samples, "mono16", time_ns(0)))
-    assert "the largest of frames that were looked at is 4095, for which `bits: 12` would do" in sequence.notes[1]
+    assert re.findall(r"\d+", sequence.notes[1]) == ["16", "8", "8", "15", "16", "4095", "12"]
+    assert "`bits: 12`" in sequence.notes[1]
     assert sequence.origin.params == {"bits": 12}
 
 
@@ -113,7 +115,7 @@ def test_bayer_pictures_are_interpolated_bilinearly(tmp_path, order):
     assert sequence.channels == 3
     inner = (slice(2, -2), slice(2, -2))
     np.testing.assert_allclose(image[inner], interpolated(samples, order)[inner], atol=1.01)
-    assert f"bayer_{order}8 becomes RGB by bilinear interpolation (OpenCV)" in sequence.notes
+    assert any(note.startswith(f"bayer_{order}8 ") and "bilinear" in note for note in sequence.notes)
     deep = opened(tmp_path, lambda bag: bag.image(samples.astype(np.uint16) * 256, f"bayer_{order}16", time_ns(0)))
     np.testing.assert_array_equal(deep.read(0).image, image)
 
@@ -136,7 +138,7 @@ def test_yuv_with_halved_chroma(tmp_path, encoding, place):
 
 def test_an_encoding_that_is_not_read_lists_those_that_are(tmp_path):
     said = error(tmp_path, lambda bag: bag.image(np.zeros((4, 4), np.float32), "32FC1", time_ns(0)))
-    assert "/image[0]: encoding '32FC1' is not read; these are: 16UC1, " in said
+    assert re.search(r"/image\[0\]: .*'32FC1'.*: 16UC1, ", said)
 
 
 @pytest.mark.parametrize("wrong", [{"width": 33}, {"height": 25}, {"step": 5}, {"width": 1 << 31}, {"height": 0}])
@@ -147,7 +149,7 @@ def test_sizes_that_do_not_fit_the_data_are_refused(tmp_path, wrong):
             setattr(message, name, value)
         return message
 
-    assert "does not fit 2304 bytes" in error(tmp_path, make)
+    assert "fit 2304 bytes" in error(tmp_path, make)
 
 
 def test_a_single_row_may_claim_any_step(tmp_path):
@@ -189,7 +191,7 @@ def test_png_pictures_lose_nothing(tmp_path):
         content = encoded(image, ".png")
         sequence = opened(tmp_path, lambda bag, c=content: bag.compressed_image(c, "png", time_ns(0)))
         np.testing.assert_array_equal(sequence.read(0).image, image)
-        assert "the frames were recorded as PNG, which loses nothing" in sequence.notes
+        assert any("PNG, which loses" in note for note in sequence.notes)
 
 
 def test_png_pictures_of_16_bits_and_of_a_mosaic(tmp_path):
@@ -213,11 +215,15 @@ def png_of_size(width, height):
     ("content", "format_", "words"),
     [
         (b"", "jpeg", "holds no picture that can be decoded"),
-        (b"\xff\xd8\xff nothing", "jpeg", "holds no picture that can be decoded"),
+        (b"\xff\xd8\xff nothing", "jpeg", "holds no picture"),
         (encoded(RGB, ".jpg")[:-300], "jpeg", "the JPEG picture is cut short"),
         (png_of_size(20_000, 8_000), "png", "says that it is 20000x8000; at most 67108864 pixels are read"),
-        (png_of_size(200_000, 80_000), "png", "holds no picture that can be decoded"),
-        (encoded(DEEP, ".png"), "16UC1; compressedDepth png", "holds depths, not a picture"),
+        (png_of_size(200_000, 80_000), "png", "holds no picture"),
+        (
+            encoded(DEEP, ".png"),
+            "16UC1; compressedDepth png",
+            "format '16UC1; compressedDepth png' holds depths, not a picture; choose another topic",
+        ),
     ],
 )
 def test_compressed_pictures_that_cannot_be_read(tmp_path, content, format_, words):
@@ -229,5 +235,5 @@ def test_a_frame_of_another_size_is_an_error_of_that_frame(tmp_path):
     with BagWriter(path, "bag") as bag:
         bag.write("/image", bag.image(RGB, "rgb8", time_ns(0)), time_ns(0))
         bag.write("/image", bag.image(RGB[:20], "rgb8", time_ns(1)), time_ns(1))
-    with pytest.raises(DatasetError, match=r"/image\[1\]: is 32x20 with 3, the first frame 32x24 with 3 channel"):
+    with pytest.raises(DatasetError, match=r"/image\[1\]: .* 32x20 with 3, .* 32x24 with 3 "):
         Bag.create(path=path).open().read(1)

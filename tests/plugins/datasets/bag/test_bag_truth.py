@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from bag_files import FORMATS, BagWriter, picture, time_ns
@@ -74,9 +76,9 @@ def test_the_only_topic_of_poses_is_the_truth(tmp_path, kind, type_):
     path = write(tmp_path / ("a.bag" if kind == "bag" else "a"), kind, [("/pose", type_)])
     sequence = Bag.create(path=path).open()
     check(sequence.ground_truth, POSES)
-    (said,) = [note for note in sequence.notes if note.startswith("ground truth: 5 poses of /pose")]
-    assert said.endswith("if they are an estimate, `ground_truth: none` goes without")
-    assert any("taken as the camera's" in note for note in sequence.notes)
+    (said,) = [note for note in sequence.notes if re.match(r"ground truth: 5 .* /pose ", note)]
+    assert re.findall("`(.*?)`", said) == ["ground_truth: none"]
+    assert any("no static transform" in note for note in sequence.notes)
     assert Bag.create(path=path, ground_truth="none").open().ground_truth is None
 
 
@@ -85,7 +87,7 @@ def test_static_transforms_lead_from_the_body_to_the_camera(tmp_path, type_, chi
     path = write(tmp_path / "a.bag", poses=[("/pose", type_)], mounted=True)
     sequence = Bag.create(path=path, child_frame=child).open()
     check(sequence.ground_truth, POSES @ BASE_FROM_CAMERA[0] @ BASE_FROM_CAMERA[1])
-    assert "moved from 'base' to 'camera' by static transforms" in sequence.notes
+    assert any("'base' to 'camera'" in note for note in sequence.notes)
 
 
 def test_of_several_topics_none_is_taken_until_one_is_named(tmp_path):
@@ -96,9 +98,9 @@ def test_of_several_topics_none_is_taken_until_one_is_named(tmp_path):
         sequence.notes
     )
     check(Bag.create(path=path, ground_truth="/mocap").open().ground_truth, POSES)
-    with pytest.raises(DatasetError, match=r"ground_truth '/x' is not there; topics of poses: /mocap, /odom"):
+    with pytest.raises(DatasetError, match=r"'/x' .*: /mocap, /odom"):
         Bag.create(path=path, ground_truth="/x").open()
-    with pytest.raises(DatasetError, match=r"ground_truth '/image' holds 1 messages of sensor_msgs/msg/Image"):
+    with pytest.raises(DatasetError, match=r"'/image' .*1 .*sensor_msgs/msg/Image"):
         Bag.create(path=path, ground_truth="/image").open()
 
 
@@ -110,7 +112,7 @@ def test_transforms_are_composed_from_the_world_to_the_camera(tmp_path, kind):
     expected = POSES @ BASE_FROM_CAMERA[0] @ BASE_FROM_CAMERA[1]
     sequence = Bag.create(path=path, ground_truth="/tf").open()
     check(sequence.ground_truth, expected)
-    assert "ground truth: 5 transforms from 'world' to 'camera' of /tf" in sequence.notes
+    assert any(re.match("ground truth: 5 .*'world'.* 'camera' .*/tf$", note) for note in sequence.notes)
     mast = Bag.create(path=path, ground_truth="/tf", child_frame="mast").open().ground_truth
     check(mast, expected)  # of the mast, moved to the camera
     check(Bag.create(path=path, ground_truth="/tf", parent_frame="world").open().ground_truth, expected)
@@ -136,7 +138,7 @@ def test_transforms_at_other_times_are_interpolated(tmp_path):
     ("values", "words"),
     [
         ({"child_frame": "wheel"}, "nothing moves between 'wheel' and 'wheel'; give `parent_frame` and `child_frame`"),
-        ({"parent_frame": "moon"}, "no transforms lead from 'moon' to 'camera'"),
+        ({"parent_frame": "moon"}, "no transforms lead from 'moon' to 'camera'; give `parent_frame` and `child_frame`"),
     ],
 )
 def test_frames_that_are_not_connected(tmp_path, values, words):
@@ -144,21 +146,21 @@ def test_frames_that_are_not_connected(tmp_path, values, words):
     with pytest.raises(DatasetError) as caught:
         Bag.create(path=path, ground_truth="/tf", **values).open()
     assert words in str(caught.value)
-    assert "transforms: world -> camera" in str(caught.value)
+    assert "world -> camera" in str(caught.value)
 
 
 def test_frames_in_a_circle_and_with_two_parents_are_refused(tmp_path):
     circle = [(0, "a", "camera", NUMBERS[0]), (0, "camera", "a", NUMBERS[0])]
-    with pytest.raises(DatasetError, match="no transforms lead from None to 'camera'"):
+    with pytest.raises(DatasetError, match="None to 'camera'"):
         Bag.create(path=write(tmp_path / "a.bag", moving=circle), ground_truth="/tf").open()
     parents = [(0, "a", "camera", NUMBERS[0]), (1, "b", "camera", NUMBERS[0])]
-    with pytest.raises(DatasetError, match="the frame 'camera' hangs on 'a' and on 'b'"):
+    with pytest.raises(DatasetError, match=r"'camera' .*'a' .*'b'"):
         Bag.create(path=write(tmp_path / "b.bag", moving=parents), ground_truth="/tf").open()
 
 
 @pytest.mark.parametrize(
     ("numbers", "words"),
-    [([0.0, 0, 0, 0, 0, 0, 0], "quaternion has length 0, not 1"), ([np.nan, 0, 0, 0, 0, 0, 1], "not finite")],
+    [([0.0, 0, 0, 0, 0, 0, 0], "quaternion has length 0"), ([np.nan, 0, 0, 0, 0, 0, 1], "not finite")],
 )
 def test_poses_that_are_none_are_errors_of_their_message(tmp_path, numbers, words):
     path = tmp_path / "a.bag"

@@ -1,4 +1,4 @@
-"""From the files that ORB-SLAM3 saves to a SlamRun."""
+"""Convert the files and the log of ORB-SLAM3 to a SlamRun."""
 
 from __future__ import annotations
 
@@ -12,19 +12,50 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from codecbench.core.contracts.sequence import Trajectory
-from codecbench.core.contracts.slam import SlamRun, TrackedFrame
-from codecbench.plugins.slam_backends.orbslam3_log import PrintedEvents
+from codecbench.core.contracts.slam import LoopEvent, SlamRun, TrackedFrame
 
 STAMP_TOLERANCE_S: Final = 1e-3
 """Saved stamps are rounded; frames are further apart than this."""
 
+LOOP: Final = b"*Loop detected"
+MERGE: Final = b"*Merge detected"
+NEW_MAP: Final = b"New Map created"
+"""Lines that ORB-SLAM3 prints."""
+UNKNOWN_FRAME: Final = -1
+"""The matched frame of a loop, which the log does not name."""
+
+
+class PrintedEvents:
+    """Reads closed loops and the number of started maps from a growing log, the only report of them."""
+
+    def __init__(self, log: Path) -> None:
+        self._log = log
+        self._position = 0
+        self.loops: list[LoopEvent] = []
+        self.maps_started = 0
+
+    def read(self, frame: int) -> None:
+        """Read the complete lines printed since the last call, which belong to the time of `frame`."""
+        if not self._log.exists():
+            return
+        with self._log.open("rb") as stream:
+            stream.seek(self._position)
+            text = stream.read()
+        whole = text.rfind(b"\n") + 1
+        self._position += whole
+        for line in text[:whole].splitlines():
+            if LOOP in line or MERGE in line:
+                self.loops.append(LoopEvent(frame, UNKNOWN_FRAME, 0, merged_maps=MERGE in line))
+            self.maps_started += NEW_MAP in line
+
 
 @dataclass(frozen=True)
 class TrackedPose:
-    """A pose as it was when its frame was tracked: 4x4 nested lists."""
+    """The pose of a frame when it was tracked."""
 
     timestamp_s: float
     world_from_camera: list[list[float]]
+    """4x4."""
 
 
 def run_from_files(
@@ -34,15 +65,15 @@ def run_from_files(
     stamps_s = np.array([frame.timestamp_s for frame in states])
     saved = _read_rows(folder / "frames.txt")
     saved[:, 0] *= 1e-9
-    at, rows = _frames_of(saved, stamps_s)
-    final = Trajectory(stamps_s[at], _poses(rows))
-    kept = set(final.timestamps_s.tolist())
-    as_tracked = [pose for pose in poses if pose.timestamp_s in kept]
+    indices, rows = _match_frames(saved, stamps_s)
+    final = Trajectory(stamps_s[indices], _poses(rows))
+    final_stamps_s = set(final.timestamps_s.tolist())
+    as_tracked = [pose for pose in poses if pose.timestamp_s in final_stamps_s]
     before = Trajectory(
         np.array([pose.timestamp_s for pose in as_tracked]),
         np.array([pose.world_from_camera for pose in as_tracked]).reshape(-1, 4, 4),
     )
-    keyframes, _ = _frames_of(_read_rows(folder / "keyframes.txt"), stamps_s)
+    keyframes, _ = _match_frames(_read_rows(folder / "keyframes.txt"), stamps_s)
     is_keyframe = set(keyframes.tolist())
     return SlamRun(
         frames=tuple(replace(frame, keyframe=position in is_keyframe) for position, frame in enumerate(states)),
@@ -56,16 +87,16 @@ def run_from_files(
 
 
 def _read_rows(path: Path) -> NDArray[np.float64]:
-    """(N, 8) stamp, position, quaternion x y z w; empty where nothing was saved."""
+    """(N, 8) stamp, position, quaternion x y z w; empty if nothing was saved."""
     lines = path.read_text().splitlines() if path.exists() else []
     rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
     return np.array(rows, dtype=np.float64).reshape(-1, 8)
 
 
-def _frames_of(
+def _match_frames(
     rows: NDArray[np.float64], stamps_s: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Positions of the frames that the rows belong to, increasing and without repeats, and those rows."""
+    """Indices of the frames to which rows belong, increasing and without repeats, and those rows."""
     if len(rows) == 0 or len(stamps_s) == 0:
         return np.empty(0, np.int64), np.empty((0, 8))
     nearest = np.abs(rows[:, :1] - stamps_s[None]).argmin(axis=1)

@@ -1,4 +1,4 @@
-"""What is known of a sequence before any codec: the map of its raw frames, and where these are in it."""
+"""The map of a sequence's raw frames, and the poses of these frames in it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,14 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.sequence import FrameSequence, Trajectory
-from codecbench.plugins.evaluators.trajectory.alignment import Similarity, Undefined, align, associate
-from codecbench.plugins.evaluators.true_poses import Poses, true_poses
+from codecbench.plugins.evaluators.trajectory.alignment import (
+    Poses,
+    Similarity,
+    Undefined,
+    align,
+    associate,
+    true_poses,
+)
 from codecbench.plugins.slam_backends.orb import Orb
 from codecbench.slam.features.extractor import Features
 from codecbench.slam.geometry.transforms import se3_exp, se3_inverse, se3_log
@@ -25,38 +31,40 @@ Way = Literal["tracked", "relocalized"]
 
 @dataclass(frozen=True)
 class LocalizedPose:
-    """Where a frame was found: `world_from_camera` (4, 4) in metres and the true frame, on `inliers` map points."""
+    """The pose at which a frame was located."""
 
     world_from_camera: NDArray[np.float64]
+    """(4, 4), in metres and the coordinates of the ground truth."""
     inliers: int
+    """Map points that agree with the pose."""
 
 
 @dataclass(frozen=True)
 class ReferenceMap:
-    """The map of a sequence's raw frames.
-
-    world_from_map: the similarity that aligns the map's trajectory with the truth. predictions: by frame, the pose
-    camera_from_map that its predecessors' poses in the map foretell; frames without one are not located, and `reasons`
-    says why. truth: (N, 4, 4) world_from_camera, NaN where not known. limit_m, limit_deg: how far from
-    the raw frame's pose a pose is wrong. Either moves what the camera sees by the same share of its depth.
-    """
+    """The map of a sequence's raw frames."""
 
     localizer: Localizer
     world_from_map: Similarity
+    """Aligns the map's trajectory with the ground truth."""
     predictions: dict[int, NDArray[np.float64]]
+    """By frame, the pose camera_from_map extrapolated from the two frames before it."""
     reasons: dict[int, str]
+    """By frame without a prediction, why it is not located."""
     truth: Poses
+    """(N, 4, 4) world_from_camera; NaN if not known."""
     limit_m: float
+    """Distance from the raw frame's position at which a pose is wrong."""
     limit_deg: float
+    """The angle that moves what the camera sees by the same share of its depth as `limit_m`."""
 
     def localize(self, features: Features, index: int) -> dict[Way, LocalizedPose | None]:
-        """Where frame `index` is found, each way, by features of it."""
+        """The pose of frame `index` by its features, in both ways; None if it is not located."""
         return {
-            "tracked": self._localized(self.localizer.locate_near(features, self.predictions[index])),
-            "relocalized": self._localized(self.localizer.locate(features)),
+            "tracked": self._align(self.localizer.locate_near(features, self.predictions[index])),
+            "relocalized": self._align(self.localizer.locate(features)),
         }
 
-    def _localized(self, location: Location | None) -> LocalizedPose | None:
+    def _align(self, location: Location | None) -> LocalizedPose | None:
         if location is None:
             return None
         map_from_camera = se3_inverse(location.camera_from_world)[None]
@@ -67,7 +75,7 @@ class ReferenceMap:
 def build_reference_map(
     sequence: FrameSequence, backend: Orb, association_s: float, limit_share: float
 ) -> ReferenceMap:
-    """Map the raw frames. Raises Unsupported where they make no map, or one that cannot be aligned with the truth."""
+    """Map the raw frames. Raises Unsupported if they make no map, or one that cannot be aligned with the truth."""
     truth, camera = true_poses(sequence, association_s), sequence.camera
     if camera is None or sequence.ground_truth is None:
         raise Unsupported(f"sequence {sequence.name} has no camera; a map needs its calibration")
@@ -87,7 +95,7 @@ def build_reference_map(
 
 
 def _predictions(built: BuiltMap, frames: int) -> tuple[dict[int, NDArray[np.float64]], dict[int, str]]:
-    """The predicted pose of every frame that is to be located, and why the others are not."""
+    """The predicted pose of every frame that will be located, and for the others the reason."""
     poses = {int(index): position for position, index in enumerate(built.trajectory.frame_indices)}
     keyframes = set(built.keyframe_indices.tolist())
     predictions, reasons = {}, {}
@@ -97,12 +105,12 @@ def _predictions(built: BuiltMap, frames: int) -> tuple[dict[int, NDArray[np.flo
         elif not {index, index - 1, index - 2} <= poses.keys():
             reasons[index] = "the raw frame or one of the two before it is not in the map"
         else:
-            predictions[index] = _predicted(built.trajectory, poses[index])
+            predictions[index] = _extrapolate(built.trajectory, poses[index])
     return predictions, reasons
 
 
-def _predicted(trajectory: FrameTrajectory, position: int) -> NDArray[np.float64]:
-    """camera_from_world of a pose, were the motion between the two before it to go on."""
+def _extrapolate(trajectory: FrameTrajectory, position: int) -> NDArray[np.float64]:
+    """camera_from_world of a pose, if the motion between the two before it continued at constant velocity."""
     before, last = (se3_inverse(trajectory.world_from_camera[position - back]) for back in (2, 1))
     stamps_s = trajectory.timestamps_s[position - 2 : position + 1]
     ratio = (stamps_s[2] - stamps_s[1]) / (stamps_s[1] - stamps_s[0])

@@ -1,4 +1,4 @@
-"""The `quality` evaluator: what each frame costs and how much of it is left."""
+"""The `quality` evaluator measures the rate and the fidelity of each frame."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from codecbench.core.contracts.image import Image, channel_count, gray_from_imag
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Frame
-from codecbench.plugins.evaluators.quality.psnr import psnr_db
-from codecbench.plugins.evaluators.quality.ssim import (
+from codecbench.plugins.evaluators.fidelity import (
     MULTISCALE_SIDE,
     WINDOW_SIDE,
     multiscale_similarity,
+    psnr_db,
     similarity,
 )
 
@@ -23,12 +23,12 @@ from codecbench.plugins.evaluators.quality.ssim import (
 class Quality(SequenceEvaluator[NoParams]):
     """Rate, PSNR and structural similarity of every frame. docs/metrics.md defines each metric.
 
-    Of codecs of features there is a rate, and nothing that could be compared with the picture.
+    Feature codecs have a rate only, because no picture comes back.
     """
 
     name = "quality"
     version = "2"
-    kernels = ("codecbench.plugins.evaluators.quality",)
+    kernels = ("codecbench.plugins.evaluators.fidelity",)
     params_type = NoParams
     typical_ms_per_frame = 30.0
     metrics: ClassVar[tuple[Metric, ...]] = (
@@ -78,8 +78,8 @@ class Quality(SequenceEvaluator[NoParams]):
         for index in range(len(coded)):
             frame = None if sends_features else coded.frame(index)
             original = sequence.read(index) if frame is None else frame.original
-            left = _no_fidelity(original.image) if frame is None else _fidelity(frame)
-            for name, value, reason in (*_rate(original, coded.size_bytes(index), sequence.frame_rate_hz), *left):
+            fidelity = _no_fidelity(original.image) if frame is None else _fidelity(frame)
+            for name, value, reason in (*_rate(original, coded.size_bytes(index), sequence.frame_rate_hz), *fidelity):
                 yield Measurement(name, value, frame=index, reason=reason)
 
 
@@ -106,12 +106,13 @@ def _fidelity(coded: CodedFrame) -> Iterator[tuple[str, float, str | None]]:
         yield "psnr_rgb_db", psnr_db(original, decoded), None
     finest = similarity(gray, decoded_gray)
     yield "ssim_matlab", finest.full, None
-    yield "ssim_wang", finest.inner, _too_small(finest.inner, gray.shape, WINDOW_SIDE)
+    yield "ssim_wang", finest.inner, _reason_too_small(finest.inner, gray.shape, WINDOW_SIDE)
     multiscale = multiscale_similarity(gray, decoded_gray, finest)
-    yield "ms_ssim", multiscale, _too_small(multiscale, gray.shape, MULTISCALE_SIDE)
+    yield "ms_ssim", multiscale, _reason_too_small(multiscale, gray.shape, MULTISCALE_SIDE)
 
 
-def _too_small(value: float, shape: tuple[int, ...], side: int) -> str | None:
+def _reason_too_small(value: float, shape: tuple[int, ...], side: int) -> str | None:
+    """Why a value is NaN: a frame smaller than the window; None if there is a value."""
     if not math.isnan(value):
         return None
     return f"the frame is {shape[1]}x{shape[0]}; the window needs at least {side}x{side}"

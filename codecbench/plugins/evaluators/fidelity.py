@@ -1,4 +1,4 @@
-"""Structural similarity (SSIM) and its multi-scale form, two definitions fused into one pass over the image.
+"""PSNR and structural similarity (SSIM) of 8-bit images, SSIM in two definitions and in its multi-scale form.
 
 Sources: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to structural
 similarity", IEEE TIP 13(4), 2004, doi:10.1109/TIP.2003.819861 (eqs. 13 and 17); Wang, Simoncelli, Bovik,
@@ -8,11 +8,14 @@ doi:10.1109/ACSSC.2003.1292216 (eq. 7).
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from codecbench.core.contracts.image import Image
 from codecbench.core.kernels.compiled import compiled
 
 WINDOW_RADIUS = 5
@@ -33,16 +36,14 @@ MULTISCALE_SIDE = WINDOW_SIDE << (len(SCALE_WEIGHTS) - 1)
 
 
 class Similarity(NamedTuple):
-    """Mean SSIM of a pair of images under both definitions of the border, and its contrast part.
-
-    full: over all pixels, the image continued by its border pixels. inner: over the pixels whose window lies
-    inside the image, NaN where there are none. contrast_structure: the mean over the same inner pixels of the
-    product of contrast and structure, which the finer scales of MS-SSIM use.
-    """
+    """Mean SSIM of a pair of images under both definitions of the border, and its contrast part."""
 
     full: float
+    """Over all pixels, with the border replicated outside the image."""
     inner: float
+    """Over the pixels whose window lies inside the image; NaN if there are none."""
     contrast_structure: float
+    """Mean product of contrast and structure over the same inner pixels, which the finer scales of MS-SSIM use."""
 
 
 def gaussian_window() -> NDArray[np.float64]:
@@ -65,7 +66,7 @@ def similarity(gray: NDArray[Any], other: NDArray[Any]) -> Similarity:
 
 
 def multiscale_similarity(gray: NDArray[Any], other: NDArray[Any], finest: Similarity) -> float:
-    """MS-SSIM of two (H, W) images whose `similarity` is `finest`; NaN where a side is below MULTISCALE_SIDE.
+    """MS-SSIM of two (H, W) images whose `similarity` is `finest`; NaN if a side is below MULTISCALE_SIDE.
 
     Each scale halves the image by averaging 2x2 blocks, leaving out an odd last row or column. A negative mean of
     contrast and structure counts as zero, because the exponents are fractions.
@@ -185,3 +186,15 @@ def _compare(
         variances, covariance = quantities[2, column] - squares, quantities[3, column] - product
         contrasts[column] = (2.0 * covariance + c2) / (variances + c2)
         similarities[column] = (2.0 * product + c1) / (squares + c1) * contrasts[column]
+
+
+def psnr_db(image: Image, other: Image) -> float:
+    """10 log10(255^2 / MSE) of two images of equal shape, the error averaged over pixels and channels alike.
+
+    Infinite for identical images. The squared error is an integer; it is rounded because OpenCV's code for some
+    processors takes its root and squares it again.
+    """
+    squared_error = round(cv2.norm(image, other, cv2.NORM_L2SQR))
+    if squared_error == 0:
+        return math.inf
+    return 10.0 * math.log10(255.0**2 * image.size / squared_error)

@@ -1,5 +1,4 @@
-"""A trajectory cell's files as a drawing: paths over ground truth, from where the true path spreads most, and what
-became of each frame."""
+"""Draw a trajectory cell from its files: paths in the plane in which the true one spreads most, and a timeline."""
 
 from __future__ import annotations
 
@@ -28,15 +27,15 @@ _STATES: Final[dict[str, tuple[str, Tone]]] = {
     "refused": ("refused", "fair"),
     "lost": ("track lost", "bad"),
 }
-"""What SLAM says of a frame, and how that is called on a timeline."""
+"""By SLAM state of a frame, its name and tone on a timeline."""
 _SAME_S: Final = 1e-6
-"""Files keep microseconds."""
+"""Stamps are equal within the rounding of files, which have microseconds."""
 _MARGIN_S: Final = 0.5
-"""Ground truth is drawn this much beyond the first and last frame that SLAM was given."""
+"""Ground truth is drawn this far beyond the first and last frame that SLAM got."""
 
 
-def drawing(outcome: Outcome) -> Drawing | None:
-    """Ground truth, the path as tracked and after all corrections, in metres; None where there is neither."""
+def draw(outcome: Outcome) -> Drawing | None:
+    """Ground truth, the path as tracked and the corrected path, in metres; None if there is neither path nor truth."""
     folder = outcome.artifacts
     optimised, estimated = (_positions(folder / name) for name in (files.TRAJECTORY, files.TRAJECTORY_BEFORE_LOOPS))
     truth = _positions(folder / files.GROUND_TRUTH)
@@ -52,9 +51,9 @@ def drawing(outcome: Outcome) -> Drawing | None:
         Line("optimised", "after", (optimised[:, 1:] - centre) @ axes.T),
     )
     success = outcome.value("success")
-    holds = None if math.isnan(success) else success == 1.0
+    is_success = None if math.isnan(success) else success == 1.0
     timeline = _timeline(folder, optimised, truth, centre, axes)
-    return Drawing(tuple(path for path in paths if len(path.points)), _caption(outcome), holds, timeline=timeline)
+    return Drawing(tuple(path for path in paths if len(path.points)), _caption(outcome), is_success, timeline=timeline)
 
 
 def _timeline(
@@ -64,9 +63,9 @@ def _timeline(
     centre: NDArray[np.float64],
     axes: NDArray[np.float64],
 ) -> FrameTimeline | None:
-    """Where each frame that SLAM was given was thought to be in the end, and how far that is from the true path.
+    """The final position of each frame that SLAM got, and its distance from the true path.
 
-    Over a link, of every frame that was taken, where the camera was thought to be at that moment.
+    Over a link, the newest known position at the capture of every frame.
     """
     if not (folder / files.STATES).exists():
         return None
@@ -81,7 +80,7 @@ def _timeline(
         else:
             stamps_s = live.taken_s
         errors_m = _distances(live.positions, stamps_s, truth)
-        rows = (*rows_of_outcomes(live.outcomes), *_tracking(live.frames, states))
+        rows = (*rows_of_outcomes(live.outcomes), *_tracking_rows(live.frames, states))
         return FrameTimeline(
             live.frames, (live.positions - centre) @ axes.T, errors_m, "m", rows, "live position error"
         )
@@ -89,21 +88,21 @@ def _timeline(
     places = np.full((len(records), 3), np.nan)
     places[at >= 0] = optimised[at[at >= 0], 1:]
     errors_m = _distances(places, stamps_s, truth)
-    return FrameTimeline(indices, (places - centre) @ axes.T, errors_m, "m", _tracking(indices, states))
+    return FrameTimeline(indices, (places - centre) @ axes.T, errors_m, "m", _tracking_rows(indices, states))
 
 
-def _tracking(frames: NDArray[np.int64], states: dict[int, str]) -> tuple[TimelineRow, ...]:
-    """Rows of what SLAM made of the frames that it was given. states: by frame."""
-    told = np.array([states.get(frame, "") for frame in frames.tolist()], dtype=object)
+def _tracking_rows(frames: NDArray[np.int64], states: dict[int, str]) -> tuple[TimelineRow, ...]:
+    """One timeline row for each SLAM state that occurs. states: by frame."""
+    values = np.array([states.get(frame, "") for frame in frames.tolist()], dtype=object)
     return tuple(
-        TimelineRow(name, tone, told == state) for state, (name, tone) in _STATES.items() if (told == state).any()
+        TimelineRow(name, tone, values == state) for state, (name, tone) in _STATES.items() if (values == state).any()
     )
 
 
 def _distances(
     places: NDArray[np.float64], stamps_s: NDArray[np.float64], truth: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """From each place (N, 3) to the true path at its time, linear between poses; NaN outside of it."""
+    """(N,) distance of each place (N, 3) from the true path at its time, linear between poses; NaN outside the path."""
     if len(truth) < 2:
         return np.full(len(places), np.nan)
     columns = [np.interp(stamps_s, truth[:, 0], truth[:, axis], left=np.nan, right=np.nan) for axis in (1, 2, 3)]
@@ -112,7 +111,7 @@ def _distances(
 
 
 def _caption(outcome: Outcome) -> str:
-    """Error and coverage together: an error alone would flatter a tracker that got lost."""
+    """Error and tracked share together, because the error alone would favor a tracker that gets lost."""
     error_m, tracked = outcome.value("ate_rmse_m"), outcome.value("tracked_fraction")
     words = ["no error known" if math.isnan(error_m) else f"ATE {error_m:.3g} m", f"{100 * tracked:.0f} % tracked"]
     loops = outcome.value("loops_closed")
@@ -124,14 +123,14 @@ def _caption(outcome: Outcome) -> str:
 
 
 def _positions(path: Path) -> NDArray[np.float64]:
-    """Rows timestamp, x, y, z (N, 4) of a file in TUM's format; none where there is no file."""
+    """(N, 4) rows of timestamp, x, y, z from a file in TUM's format; empty if there is no file."""
     lines = path.read_text().splitlines() if path.exists() else []
     rows = [line.split()[:4] for line in lines if line and not line.startswith("#")]
     return np.array(rows, dtype=np.float64).reshape(-1, 4)
 
 
 def _span_s(states: Path) -> tuple[float, float] | None:
-    """Times of the first and the last frame that SLAM was given."""
+    """Times of the first and the last frame that SLAM got; None if there is none."""
     if not states.exists():
         return None
     with states.open(newline="") as stream:

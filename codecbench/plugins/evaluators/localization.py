@@ -1,4 +1,4 @@
-"""The `localization` evaluator: where decoded frames are in a map of the raw ones."""
+"""The `localization` evaluator locates decoded frames in a map of the raw ones."""
 
 from __future__ import annotations
 
@@ -21,16 +21,48 @@ from codecbench.core.contracts.metric import Metric, Quantity
 from codecbench.core.contracts.sequence import Frame
 from codecbench.core.simulation.delivery import DeliveredFrames, delivery_of
 from codecbench.core.simulation.settings import ReaderSettings, Time
-from codecbench.plugins.evaluators.localization.metrics import METRICS
-from codecbench.plugins.evaluators.localization.reference_map import (
+from codecbench.plugins.evaluators.reference_map import (
     LocalizedPose,
     ReferenceMap,
     Way,
     build_reference_map,
 )
-from codecbench.plugins.evaluators.true_poses import rotation_angles_deg
+from codecbench.plugins.evaluators.trajectory.alignment import rotation_angles_deg
 from codecbench.slam.features.extractor import Features
 
+WAYS: Final = {"tracked": "from the previous pose", "relocalized": "from nothing"}
+"""How a frame is located, by the prefix of the metrics."""
+
+
+def _metrics_of(way: str, how: str) -> tuple[Metric, ...]:
+    def task(name: str, unit: str, summary: str, label: str) -> Metric:
+        spread, summary, label = ("median", "p95"), f"{summary}, {how}", f"{label}, {how}"
+        return Metric(f"{way}_{name}", unit, "lower", summary, spread, role="task", label=label, scale="log")
+
+    return (
+        Metric(
+            f"{way}_located", "1", "higher", f"1 if located {how}, else 0",
+            role="task", label=f"located {how}",
+        ),
+        Metric(
+            f"{way}_inliers", "1", "higher", f"map points behind a right pose, else 0, {how}",
+            role="task", headline=way == "tracked", label=f"map points found, {how}", column_header="map points",
+        ),
+        task("position_error_mm", "mm", "distance from the true position", "position error"),
+        task("rotation_error_deg", "deg", "angle from the true orientation", "rotation error"),
+        task("position_to_raw_mm", "mm", "distance from the raw frame's position", "position beside raw"),
+        task("rotation_to_raw_deg", "deg", "angle from the raw frame's orientation", "rotation beside raw"),
+    )  # fmt: skip
+
+
+METRICS: Final = (
+    Metric(
+        "located_auc", "1", "higher",
+        "max(0, 1 - d / L), d the distance from the raw frame's position",
+        role="task", headline=True, label="localisation AUC", column_header="located", enough=0.9,
+    ),
+    *(metric for way, how in WAYS.items() for metric in _metrics_of(way, how)),
+)  # fmt: skip
 _BACKEND = "orb"
 
 
@@ -50,14 +82,14 @@ class LocalizationParams(ReaderSettings):
     limit_share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
     association_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     slam_ms: Time = 0.0
-    """Nothing measures it: the SLAM that `trajectory` times does more than to locate."""
+    """Not measured: the SLAM that `trajectory` times does more than locating."""
 
 
 class Localization(SequenceEvaluator[LocalizationParams]):
-    """Each frame is located by itself, so that what becomes of it depends on no other frame.
+    """Locates each frame by itself, so that its result depends on no other frame.
 
-    The map is made once of raw frames and kept beside them, under all that it depends on. Nothing is drawn at random,
-    so equal frames give equal values whatever the codec is called.
+    The map is built once from raw frames and cached with them, under all that it depends on. Nothing is random, so
+    equal frames give equal values whatever the codec.
     """
 
     name = "localization"
@@ -97,21 +129,21 @@ class Localization(SequenceEvaluator[LocalizationParams]):
         pictures = None if delivery is None else DeliveredFrames(coded, delivery)
         read_at = {} if delivery is None else delivery.read_at(self.params.read_s)
 
-        def received(index: int) -> Features | None:
+        def receive(index: int) -> Features | None:
             if sends_features:
                 return reference_map.localizer.features_of(backend.keypoints(coded.features(index)))
             decoded = coded.frame(index).decoded if pictures is None else pictures.image(index)
             return None if decoded is None else reference_map.localizer.extract(decoded)
 
         for index in reference_map.predictions:
-            features = None if delivery is not None and index not in read_at else received(index)
+            features = None if delivery is not None and index not in read_at else receive(index)
             raw = _raw_poses(reference_map, sequence.read(index), key)
-            found = _UNDELIVERED if features is None else reference_map.localize(features, index)
-            yield from _measured(reference_map, index, found, raw)
+            poses = _UNDELIVERED if features is None else reference_map.localize(features, index)
+            yield from _frame_measurements(reference_map, index, poses, raw)
 
 
 _UNDELIVERED: Final[dict[Way, LocalizedPose | None]] = {"tracked": None, "relocalized": None}
-"""What is found in a frame that does not come in time."""
+"""The poses of a frame that is not delivered in time."""
 
 
 def _raw_poses(reference_map: ReferenceMap, frame: Frame, key: tuple[object, ...]) -> dict[Way, LocalizedPose | None]:
@@ -120,28 +152,28 @@ def _raw_poses(reference_map: ReferenceMap, frame: Frame, key: tuple[object, ...
     )
 
 
-def _measured(
+def _frame_measurements(
     reference_map: ReferenceMap,
     index: int,
-    found: dict[Way, LocalizedPose | None],
+    poses: dict[Way, LocalizedPose | None],
     raw: dict[Way, LocalizedPose | None],
 ) -> Iterator[Measurement]:
     """All metrics of one frame."""
-    for way, localized in found.items():
+    for way, localized in poses.items():
         yield Measurement(f"{way}_located", float(localized is not None), frame=index)
-        yield _points(reference_map, f"{way}_inliers", index, localized, raw["tracked"])
+        yield _inliers(reference_map, f"{way}_inliers", index, localized, raw["tracked"])
         true = reference_map.truth[index]
         yield from _distance(way, "error", localized, true, index, "the frame has no true pose")
-        other = raw[way]
-        beside = np.full((4, 4), np.nan) if other is None else other.world_from_camera
-        yield from _distance(way, "to_raw", localized, beside, index, "the raw frame is not located itself")
-    yield _area(reference_map, index, found["tracked"], raw["tracked"])
+        raw_pose = raw[way]
+        expected = np.full((4, 4), np.nan) if raw_pose is None else raw_pose.world_from_camera
+        yield from _distance(way, "to_raw", localized, expected, index, "the raw frame is not located itself")
+    yield _area(reference_map, index, poses["tracked"], raw["tracked"])
 
 
 def _distance(
     way: Way, what: str, localized: LocalizedPose | None, reference: np.ndarray, index: int, unknown: str
 ) -> Iterator[Measurement]:
-    """Distance in millimetres and angle in degrees of a sighting from a pose, both missing where one of them is."""
+    """Distance in mm and angle in degrees from a reference pose; missing if either pose is missing."""
     names = (f"{way}_position_{what}_mm", f"{way}_rotation_{what}_deg")
     reason = "the frame is not located" if localized is None else unknown if np.isnan(reference).any() else None
     if localized is None or reason:
@@ -155,27 +187,27 @@ def _distance(
     yield from (Measurement(name, value, frame=index) for name, value in zip(names, values, strict=True))
 
 
-def _points(
-    reference_map: ReferenceMap, metric: str, index: int, found: LocalizedPose | None, raw: LocalizedPose | None
+def _inliers(
+    reference_map: ReferenceMap, metric: str, index: int, localized: LocalizedPose | None, raw: LocalizedPose | None
 ) -> Measurement:
-    """The map points behind a pose that is right: nearer to the raw frame's than the limits of both its parts."""
+    """The map points behind a pose if it is right, else 0: within both limits of the raw frame's pose."""
     if raw is None:
         return Measurement(metric, math.nan, frame=index, reason="the raw frame is not located itself")
-    if found is None:
+    if localized is None:
         return Measurement(metric, 0.0, frame=index)
-    pose, beside = found.world_from_camera, raw.world_from_camera
-    near = np.linalg.norm(pose[:3, 3] - beside[:3, 3]) < reference_map.limit_m
-    right = near and rotation_angles_deg(pose[:3, :3].T @ beside[:3, :3]) < reference_map.limit_deg
-    return Measurement(metric, float(found.inliers if right else 0), frame=index)
+    pose, expected = localized.world_from_camera, raw.world_from_camera
+    near = np.linalg.norm(pose[:3, 3] - expected[:3, 3]) < reference_map.limit_m
+    right = near and rotation_angles_deg(pose[:3, :3].T @ expected[:3, :3]) < reference_map.limit_deg
+    return Measurement(metric, float(localized.inliers if right else 0), frame=index)
 
 
 def _area(
-    reference_map: ReferenceMap, index: int, found: LocalizedPose | None, raw: LocalizedPose | None
+    reference_map: ReferenceMap, index: int, localized: LocalizedPose | None, raw: LocalizedPose | None
 ) -> Measurement:
-    """What the frame adds to the area under the curve of located frames over the distance: 0 to 1."""
+    """The frame's share, 0 to 1, of the area under the curve of located frames over distance."""
     if raw is None:
         return Measurement("located_auc", math.nan, frame=index, reason="the raw frame is not located itself")
-    if found is None:
+    if localized is None:
         return Measurement("located_auc", 0.0, frame=index)
-    distance_m = np.linalg.norm(found.world_from_camera[:3, 3] - raw.world_from_camera[:3, 3])
+    distance_m = np.linalg.norm(localized.world_from_camera[:3, 3] - raw.world_from_camera[:3, 3])
     return Measurement("located_auc", max(0.0, 1.0 - float(distance_m) / reference_map.limit_m), frame=index)

@@ -1,5 +1,0 @@
-"""The `features` evaluator."""
-
-from codecbench.plugins.evaluators.features.evaluator import Features, FeaturesParams
-
-__all__ = ["Features", "FeaturesParams"]

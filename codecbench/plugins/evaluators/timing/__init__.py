@@ -1,5 +1,0 @@
-"""How long encoding and decoding take."""
-
-from codecbench.plugins.evaluators.timing.evaluator import Timing
-
-__all__ = ["Timing"]
