@@ -1,6 +1,6 @@
 """A benchmark of codecs by what they do to the task that uses the images.
 
-The names below are loaded when they are first used, so that importing codecbench costs nothing.
+The names below are loaded at their first use, so that importing codecbench is quick.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ __all__ = sorted(_HOME_OF)
 
 
 def __dir__() -> list[str]:
-    """What a user needs: no module is listed that only happens to have been loaded."""
+    """Return the public names, without modules that happen to be loaded."""
     return [*__all__, "__version__"]
 
 

@@ -1,6 +1,6 @@
-"""The command `codecbench`, also as `python -m codecbench`: signals are heeded before the command line is imported.
+"""The command `codecbench`, also run by `python -m codecbench`.
 
-It imports next to nothing, so that little time is left in which Ctrl-C would show a traceback.
+It handles signals before it imports the command line, so that Ctrl-C shows no traceback meanwhile.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import sys
 
 
 def main() -> None:
-    """Entry point: SIGTERM and SIGHUP end a command in order, as SIGINT does, with what it has started."""
+    """Run the command line. SIGTERM and SIGHUP end a command and its processes in order, as SIGINT does."""
     try:
         for number in (signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is signal.SIG_DFL:  # under nohup, SIGHUP is ignored
@@ -18,7 +18,7 @@ def main() -> None:
         from codecbench.cli import main as command_line
 
         command_line()
-    except KeyboardInterrupt:  # before the command line could say it, or for a second time
+    except KeyboardInterrupt:  # before the command line handles it, or a second time
         sys.stderr.write("stopped\n")
         sys.exit(128 + signal.SIGINT)
 

@@ -1,16 +1,21 @@
-"""The command line. Each command is a module of its own, imported when it is used, so that help is instant."""
+"""The command line. A command's module is imported when the command is called, so that help is instant."""
 
 from __future__ import annotations
 
 import importlib
 import os
 import sys
-from typing import Any
+from typing import Any, Final
 
 import click
 from click.shell_completion import CompletionItem, shell_complete
 
-from codecbench.cli.completion import VARIABLE
+import codecbench.cli.late  # noqa: F401 - before what it loads late
+from codecbench.cli.messages import close_output, report_error
+from codecbench.core.engine.hosting import confinement
+
+COMPLETION_VARIABLE: Final = "_CODECBENCH_COMPLETE"
+"""The environment variable by which a shell asks for completions, as click calls it."""
 
 COMMANDS = {
     "try": ("codecbench.cli.try_:try_", "Try codecs on a recording of your own, and write a report."),
@@ -30,16 +35,16 @@ COMMANDS = {
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),
-    "status": ("codecbench.cli.status:status", "Show how far a run has got, also while it is running."),
-    "reproduce": ("codecbench.paper.command:reproduce", "Put the paper's tables and figures beside a run."),
+    "status": ("codecbench.cli.plan:status", "Show how far a run has got, also while it is running."),
+    "reproduce": ("codecbench.cli.report:reproduce", "Put the paper's tables and figures beside a run."),
     "data": ("codecbench.cli.data:data", "List, fetch and find datasets."),
     "warm-up": ("codecbench.cli.warm_up:warm_up", "Compile ahead the kernels that runs will need."),
     "bundle": ("codecbench.cli.bundle:bundle", "Put a run into one file, to be kept, cited and opened by others."),
     "open": ("codecbench.cli.bundle:open_bundle", "Unpack a bundle and report on it; no code of it is run."),
-    "verify-run": ("codecbench.cli.verify_run:verify_run", "Compute some cells of a bundle again; say which agree."),
+    "verify-run": ("codecbench.cli.bundle:verify_run", "Compute some cells of a bundle again; say which agree."),
     "verify": ("codecbench.cli.verify:verify", "Check that codecs do what the contract asks; write and check corpora."),
     "export": ("codecbench.cli.export:export", "Write what a codec sent as video or picture files."),
-    "table": ("codecbench.cli.table:table", "Print or write the tables of a run."),
+    "table": ("codecbench.cli.report:table", "Print or write the tables of a run."),
 }
 
 
@@ -62,7 +67,7 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, summary) for name, (_, summary) in COMMANDS.items()])
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Names of commands, without importing any."""
+        """Complete names of commands without importing any."""
         names = [name for name in COMMANDS if name.startswith(incomplete)]
         options = click.Command.shell_complete(self, ctx, incomplete)
         return [*(CompletionItem(name, help=COMMANDS[name][1]) for name in names), *options]
@@ -71,11 +76,11 @@ class LazyGroup(click.Group):
         try:
             return super().resolve_command(context, args)
         except click.UsageError as error:
-            import difflib
+            import difflib  # only mistyped commands need it
 
-            near = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
-            meant = f" Did you mean '{near[0]}'?" if near else ""
-            raise click.UsageError(f"{error.message}{meant}", error.ctx) from None
+            matches = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
+            hint = f" Did you mean '{matches[0]}'?" if matches else ""
+            raise click.UsageError(f"{error.message}{hint}", error.ctx) from None
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -83,27 +88,23 @@ class LazyGroup(click.Group):
 @click.option("--confine", is_flag=True, help="Keep other distributions' plugins from the network and from your files.")
 def cli(confine: bool) -> None:
     """Benchmark image codecs by what they do to the task that uses the images."""
-    from codecbench.core.engine.hosting.confinement import VARIABLE, confinement, is_confinement_requested
-
     if confine:
-        os.environ[VARIABLE] = "1"
-    if is_confinement_requested():
-        confinement()
+        os.environ[confinement.VARIABLE] = "1"
+    if confinement.is_confinement_requested():
+        confinement.confinement()
 
 
 def main() -> None:
-    """Run the command of this process: whatever ends it is a message, not a traceback, and an exit status."""
-    from codecbench.cli.exit_status import close_output, report_error
-
-    if VARIABLE in os.environ:
-        sys.exit(shell_complete(cli, {}, "codecbench", VARIABLE, os.environ[VARIABLE]))
+    """Run the command of this process. Whatever ends it becomes a message, not a traceback, and an exit status."""
+    if COMPLETION_VARIABLE in os.environ:
+        sys.exit(shell_complete(cli, {}, "codecbench", COMPLETION_VARIABLE, os.environ[COMPLETION_VARIABLE]))
     status = 0
     try:
         with cli.make_context("codecbench", sys.argv[1:]) as context:
             cli.invoke(context)
         close_output()
-    except click.exceptions.Exit as done:
-        status = done.exit_code
+    except click.exceptions.Exit as end:
+        status = end.exit_code
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 - a fault of our own is reported like any other end
         status = report_error(error)
     try:

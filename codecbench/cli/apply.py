@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from codecbench.cli.completion import codec_names
-from codecbench.core.engine.text import counted
+from codecbench.cli.messages import say
+from codecbench.cli.parameters import codec_names
+from codecbench.core.analysis import choosing, collect
+from codecbench.core.conformance import settings
+from codecbench.core.contracts import recipe as recipes
+from codecbench.core.contracts.errors import CodecbenchError, PluginError
+from codecbench.core.engine.plugins import registry as plugins
+from codecbench.core.engine.storage import plan_file
+from codecbench.core.engine.text import clean_line, clean_text, counted
+from codecbench.core.report import answers, costs, tables, views
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -43,58 +51,49 @@ def apply(
     For each stack that the codec has a recipe for: parameters of ROS 2, a GStreamer pipeline, a command of ffmpeg, a
     call from Python; and a note where that stack does not code what was measured.
     """
-    from codecbench.cli.saying import say
-    from codecbench.core.analysis.choosing import links_with_readers
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.report.answers import answers
-    from codecbench.core.report.views import Pick, answer_picks
-
     if setting and len(codecs) != 1:
         raise click.UsageError("--setting is of one codec; give one --codec")
-    result = open_nonempty_run(run)
-    picks = {link: answer_picks(result, link) for link in links_with_readers(result) or [""]}
-    taken = dict.fromkeys((found[0].codec, found[0].setting) for found in picks.values() if found and found[0].passes)
-    chosen = [_job(result, codec, label=label) for codec, label in taken]
+    result = collect.open_nonempty_run(run)
+    picks_by_link = {link: views.answer_picks(result, link) for link in choosing.links_with_readers(result) or [""]}
+    first_picks = [picks[0] for picks in picks_by_link.values() if picks]
+    answer = dict.fromkeys((pick.codec, pick.setting) for pick in first_picks if pick.passes)
+    jobs = [_job(result, codec, label=label) for codec, label in answer]
     if codecs:
-        chosen = []
+        jobs = []
         for name in codecs:
-            own = dict.fromkeys(pick.setting for found in picks.values() for pick in found if pick.codec == name)
-            labels: list[str | None] = [None] if setting or not own else [*own]
-            chosen += [_job(result, name, setting, label) for label in labels]
-    elif not chosen:
-        for sentence in answers(result).sentence.splitlines():
+            picks = [pick for link_picks in picks_by_link.values() for pick in link_picks if pick.codec == name]
+            picked = dict.fromkeys(pick.setting for pick in picks)
+            labels: list[str | None] = [None] if setting or not picked else [*picked]
+            jobs += [_job(result, name, setting, label) for label in labels]
+    elif not jobs:
+        for sentence in answers.answers(result).sentence.splitlines():
             say(sentence)
         say("Nothing to apply; --codec NAME prints the recipes of a codec all the same.")
         return
-    scene = _scene(run, chosen[0], frame_rate_hz, size)
-    for job in chosen:
+    scene = _scene(run, jobs[0], frame_rate_hz, size)
+    for job in jobs:
         name = f"{job.codec.name} {job.codec.label}".strip()
-        passes, nearest = (Pick(job.codec.name, job.codec.label, each) for each in (True, False))
-        over = [link for link, found in picks.items() if passes in found]
-        verdict = f"; passes over {' and '.join(over)}" if any(over) else ""
-        if not over:
-            is_nearest = any(nearest in found for found in picks.values())
+        passing, nearest = (views.Pick(job.codec.name, job.codec.label, passes) for passes in (True, False))
+        links = [link for link, picks in picks_by_link.items() if passing in picks]
+        verdict = f"; passes over {' and '.join(links)}" if any(links) else ""
+        if not links:
+            is_nearest = any(nearest in picks for picks in picks_by_link.values())
             verdict = "; it is not known to pass" if is_nearest else "; it is not a pick of the answer"
-        _comment(f"{name}: {_measured(result, job)}{verdict}", bold=True)
+        _comment(f"{name}: {_describe_rate(result, job)}{verdict}", bold=True)
         _comment(f"for frames of {scene.width}x{scene.height}; /dev/video0, image_raw and out.* are to be your own")
         click.echo()
-        for recipe in _recipes(installed(), job.codec, scene):
+        for recipe in _recipes(plugins.installed(), job.codec, scene):
             if not stacks or any(word.lower() in recipe["stack"].lower() for word in stacks):
                 _show(recipe)
 
 
 def _comment(text: str, *, bold: bool = False, fg: str | None = None) -> None:
-    """Print a line that is a comment in YAML, shells and Python, so that all may be pasted; none is wrapped."""
-    from codecbench.core.engine.text import clean_line
-
+    """Print a line as a comment of YAML, shells and Python, so that users can paste all output. It is not wrapped."""
     click.secho(f"# {clean_line(text)}", bold=bold, fg=fg)
 
 
 def _show(recipe: dict[str, Any]) -> None:
-    """A heading, the note, and the text as it is."""
-    from codecbench.core.engine.text import clean_text
-
+    """Print the heading, the note and the text of a recipe."""
     _comment(recipe["stack"], bold=True)
     if recipe["note"]:
         _comment(recipe["note"], fg="yellow")
@@ -104,87 +103,74 @@ def _show(recipe: dict[str, Any]) -> None:
 
 
 def _job(result: RunResult, codec: str, setting: str = "", label: str | None = None) -> CodingJob:
-    """The setting that is meant, on the first sequence that has it. Raises UsageError where it is none or several."""
-    from codecbench.core.conformance.settings import setting_from_text
-
-    wanted = setting_from_text(setting)
-    own = [job for job in result.plan.jobs if job.codec.name == codec]
-    found: dict[str, CodingJob] = {}
-    for job in own:
+    """Return the coding job of a setting on the first sequence. Raises UsageError if none or several settings match."""
+    wanted = settings.setting_from_text(setting)
+    jobs = [job for job in result.plan.jobs if job.codec.name == codec]
+    matches: dict[str, CodingJob] = {}
+    for job in jobs:
         if label in (None, job.codec.label) and wanted.items() <= job.codec.params.items():
-            found.setdefault(job.codec.label, job)
-    if len(found) == 1:
-        return next(iter(found.values()))
-    if not own:
+            matches.setdefault(job.codec.label, job)
+    if len(matches) == 1:
+        return next(iter(matches.values()))
+    if not jobs:
         names = ", ".join(dict.fromkeys(job.codec.name for job in result.plan.jobs))
         raise click.UsageError(f"the run has no codec {codec}; it has: {names}")
-    labels = "; ".join(found or dict.fromkeys(job.codec.label for job in own))
-    if found:
+    labels = "; ".join(matches or dict.fromkeys(job.codec.label for job in jobs))
+    if matches:
         raise click.UsageError(f"several settings of {codec} are meant; say which by --setting: {labels}")
     raise click.UsageError(f"the run has no {codec} {setting}; it has: {labels}")
 
 
-def _measured(result: RunResult, job: CodingJob) -> str:
-    """`0.544 Mbit/s at 30 fps, 2.27 kB a frame measured on SEQUENCE`, as far as it was measured."""
-    from codecbench.core.report.costs import rate_of_setting
-    from codecbench.core.report.tables import three_digits
-
-    kbps, frame_bytes = rate_of_setting(result, job.sequence.name, job.codec.name, job.codec.label)
+def _describe_rate(result: RunResult, job: CodingJob) -> str:
+    """Return such as `0.544 Mbit/s at 30 fps, 2.27 kB a frame measured on SEQUENCE`, as far as it was measured."""
+    kbps, frame_bytes = costs.rate_of_setting(result, job.sequence.name, job.codec.name, job.codec.label)
     pace = f" at {kbps * 125 / frame_bytes:.3g} fps" if frame_bytes > 0 else ""
-    words = [f"{three_digits(kbps / 1e3)} Mbit/s{pace}"] if kbps > 0 else []
-    words += [f"{three_digits(frame_bytes / 1e3)} kB a frame"] if frame_bytes > 0 else []
+    words = [f"{tables.three_digits(kbps / 1e3)} Mbit/s{pace}"] if kbps > 0 else []
+    words += [f"{tables.three_digits(frame_bytes / 1e3)} kB a frame"] if frame_bytes > 0 else []
     several = len(result.plan.sequences)
-    on = f"{job.sequence.name}, one of {counted(several, 'sequence')}" if several > 1 else job.sequence.name
-    return f"{', '.join(words) or 'no rate was'} measured on {on}"
+    sequence = f"{job.sequence.name}, one of {counted(several, 'sequence')}" if several > 1 else job.sequence.name
+    return f"{', '.join(words) or 'no rate was'} measured on {sequence}"
 
 
 def _scene(run: Path, job: CodingJob, frame_rate_hz: float | None, size: str | None) -> Scene:
-    """The frames of the robot: what is given, and else those of the sequence, which is opened for it."""
-    from codecbench.core.contracts.errors import CodecbenchError
-    from codecbench.core.contracts.recipe import Scene
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.storage.plan_file import PlanFile
-
+    """Return the rate and size of the robot's frames: as given, and else those of the sequence, which is opened."""
     dataset = job.sequence.dataset
-    found: Sequence[float] = (math.nan, 0, 0)
+    facts: Sequence[float] = (math.nan, 0, 0)
     if frame_rate_hz is None or size is None:
-        elsewhere = PlanFile(run).origin_elsewhere()
+        elsewhere = plan_file.PlanFile(run).origin_elsewhere()
         if elsewhere is not None:
             message = f"the run was made in {elsewhere}, so its sequence is not opened"
             raise click.UsageError(f"{message}; give --frame-rate and --size")
         try:
-            found = installed().ask(frames_of, dataset.name, dataset.params, of=[("dataset", dataset.name)])
+            facts = plugins.installed().ask(frames_of, dataset.name, dataset.params, of=[("dataset", dataset.name)])
         except CodecbenchError as error:
             raise click.UsageError(f"{error}; give --frame-rate and --size, and no sequence is opened") from error
-    width, height = (int(side) for side in found[1:])
+    width, height = (int(side) for side in facts[1:])
     if size is not None:
         sides = size.split("x")
         if len(sides) != 2 or not all(side.isdecimal() and int(side) > 0 for side in sides):
             raise click.UsageError(f"--size {size}: not WIDTHxHEIGHT in pixels, such as 640x480")
         width, height = map(int, sides)
-    return Scene(height, width, job.sequence.channels, found[0] if frame_rate_hz is None else frame_rate_hz)
+    return recipes.Scene(height, width, job.sequence.channels, facts[0] if frame_rate_hz is None else frame_rate_hz)
 
 
 def frames_of(registry: Registry, dataset: str, params: dict[str, Any]) -> list[float]:
-    """Frame rate, width and height of a sequence, asked where its plugin may be loaded."""
+    """Return frame rate, width and height of a sequence. Runs in the process that may load its plugin."""
     sequence = registry.create("dataset", dataset, params).open()
     height, width = sequence.read(0).image.shape[:2]
     return [float(sequence.frame_rate_hz), width, height]
 
 
 def _recipes(registry: Registry, setting: PluginSetting, scene: Scene) -> list[dict[str, Any]]:
-    """What a codec says, wherever its plugin may be loaded. Raises CodecbenchError where it cannot be asked."""
-    asked = (setting.name, setting.params, asdict(scene))
-    found: list[dict[str, Any]] = registry.ask(recipes_of, *asked, of=[("codec", setting.name)])
-    return found
+    """Ask a codec for its recipes in the process that may load its plugin. Raises CodecbenchError if that fails."""
+    arguments = (setting.name, setting.params, asdict(scene))
+    answer: list[dict[str, Any]] = registry.ask(recipes_of, *arguments, of=[("codec", setting.name)])
+    return answer
 
 
 def recipes_of(registry: Registry, codec: str, params: dict[str, Any], scene: dict[str, Any]) -> list[dict[str, Any]]:
-    """The recipes of a setting as JSON types. Raises PluginError where the codec says something else."""
-    from codecbench.core.contracts.errors import PluginError
-    from codecbench.core.contracts.recipe import Recipe, Scene
-
-    found = registry.create("codec", codec, params).recipes(Scene(**scene))
-    if not isinstance(found, tuple) or not all(isinstance(each, Recipe) for each in found):
-        raise PluginError(f"codec {codec}: recipes returned {type(found).__name__}, not a tuple of Recipe")
-    return [asdict(each) for each in found]
+    """Return the recipes of a setting as JSON types. Raises PluginError if the codec returns something else."""
+    answer = registry.create("codec", codec, params).recipes(recipes.Scene(**scene))
+    if not isinstance(answer, tuple) or not all(isinstance(recipe, recipes.Recipe) for recipe in answer):
+        raise PluginError(f"codec {codec}: recipes returned {type(answer).__name__}, not a tuple of Recipe")
+    return [asdict(recipe) for recipe in answer]

@@ -1,12 +1,24 @@
-"""`codecbench bundle` and `codecbench open`."""
+"""`codecbench bundle`, `codecbench open` and `codecbench verify-run`."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from codecbench.core.engine.text import counted
+from codecbench.cli import rank as ranking
+from codecbench.cli import show
+from codecbench.cli.messages import ExitStatus
+from codecbench.core.analysis import collect, verification
+from codecbench.core.engine.bundling import packing
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.text import clean_line, counted
+from codecbench.core.report import page as report_page
+from codecbench.core.report import tables
+
+if TYPE_CHECKING:
+    from codecbench.core.analysis.verification import Agreement
 
 
 @click.command()
@@ -19,14 +31,12 @@ def bundle(run: Path, bitstreams: bool, out: Path | None) -> None:
     It holds the matrix, the plan, every record with its trajectories, and the environments, each file with its
     SHA-256. The same run gives the same bytes.
     """
-    from codecbench.core.engine.bundling.packing import write_bundle
-
-    made = write_bundle(run, out, bitstreams=bitstreams)
-    manifest = made.manifest
+    packed = packing.write_bundle(run, out, bitstreams=bitstreams)
+    manifest = packed.manifest
     statuses = ", ".join(f"{count} {status}" for status, count in manifest.statuses.items())
-    click.echo(f"{made.path}: {counted(manifest.cells, 'cell')} ({statuses}), {counted(len(manifest.files), 'file')}")
-    click.echo(f"{made.size_bytes:,} bytes")
-    click.echo(f"SHA-256 {made.sha256}")
+    click.echo(f"{packed.path}: {counted(manifest.cells, 'cell')} ({statuses}), {counted(len(manifest.files), 'file')}")
+    click.echo(f"{packed.size_bytes:,} bytes")
+    click.echo(f"SHA-256 {packed.sha256}")
 
 
 @click.command("open")
@@ -43,24 +53,69 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
     A bundle is data: names, sizes and SHA-256 of its files are checked, no code of it is run, and nothing that its plan
     names is opened. What results mean is read from the plan where a plugin is not installed.
     """
-    from codecbench.cli.rank import show_answer, show_notes
-    from codecbench.cli.show import show_reasons
-    from codecbench.core.analysis.collect import absent_plugins, open_nonempty_run
-    from codecbench.core.engine.bundling.packing import folder_beside, unpack_bundle
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.report.page import write_report
-    from codecbench.core.report.tables import notes
-
-    folder = out or folder_beside(bundle)
-    manifest = unpack_bundle(bundle, folder)
-    run = open_nonempty_run(folder)
-    show_notes(notes(run), True)
-    show_reasons(run)
+    folder = out or packing.folder_beside(bundle)
+    manifest = packing.unpack_bundle(bundle, folder)
+    run = collect.open_nonempty_run(folder)
+    ranking.show_notes(tables.notes(run), True)
+    show.show_reasons(run)
     click.echo(f"bundled by codecbench {manifest.codecbench}; its {len(manifest.files)} files are as they were bundled")
-    if absent := absent_plugins(run.plan, installed()):
+    if absent := collect.absent_plugins(run.plan, registry.installed()):
         click.echo(f"not installed, and shown by what the plan keeps of them: {', '.join(absent)}")
     path = folder / "report" / "report.html"
-    write_report(run, path, sequences_from=sequences_from)
+    report_page.write_report(run, path, sequences_from=sequences_from)
     click.echo(f"run folder: {folder}")
     click.echo(f"report: {path}\n")
-    show_answer(run)
+    ranking.show_answer(run)
+
+
+@click.command("verify-run")
+@click.argument("bundle", type=click.Path(path_type=Path))
+@click.option("--cells", type=click.IntRange(1), default=5, show_default=True, help="How many cells.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Chooses the cells.")
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(0),
+    default=1e-6,
+    show_default=True,
+    help="The relative difference of two values up to which they agree where libraries have other versions, or the "
+    "processor has other vector instructions.",
+)
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="A fresh run folder, to keep the cells.")
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; by default one a processor.")
+@click.option(
+    "--sequences-from",
+    metavar="FOLDER|same",
+    help="Where sequences are that the plan names by path: in FOLDER, or where it says.",
+)
+def verify_run(
+    bundle: Path, cells: int, seed: int, tolerance: float, out: Path | None, workers: int | None,
+    sequences_from: str | None,
+) -> None:  # fmt: skip
+    """Compute a sample of the cells of a BUNDLE, or of a run folder, again, and say which agree.
+
+    Compared are all values that equal code gives again; times are not, nor what depends on the machine. Where
+    libraries have the versions that they had, and the processor the vector instructions, values must be equal to the
+    last bit. The exit status is 1 if a cell differs, or none could be computed.
+    """
+    check = verification.verify_run(
+        bundle, cells=cells, seed=seed, tolerance=tolerance, out=out, workers=workers, sequences_from=sequences_from,
+    )  # fmt: skip
+    chosen = f"{len(check.cells)} of {check.of} cells, chosen by seed {seed}"
+    click.echo(f"{check.name}: {chosen}" + (f"; {check.left_out} measured only times" if check.left_out else ""))
+    for agreement in check.cells:
+        click.echo(clean_line(_line(agreement)))
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in check.counts.items()) or "no cell to compare"
+    click.echo(
+        f"{counts}; tolerance {tolerance:g} of the value where versions or instructions differ, times are not compared"
+    )
+    if out is not None:
+        click.echo(f"run folder: {out}")
+    if not check.holds:
+        raise click.exceptions.Exit(ExitStatus.FOUND)
+
+
+def _line(agreement: Agreement) -> str:
+    cell = agreement.cell
+    what = " ".join(filter(None, (cell.codec.name, cell.codec.label)))
+    note = agreement.note or f"{agreement.values} values"
+    return f"{agreement.verdict:17} {cell.sequence.name} | {what} | {cell.evaluator.title} #{cell.repeat}: {note}"

@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from codecbench.cli.formats import Format
-from codecbench.cli.rank import FORMATS, everything_option, show_found
-from codecbench.cli.screen import Screen
+from codecbench.cli import display
+from codecbench.cli.parameters import Format
+from codecbench.cli.rank import FORMATS, everything_option, print_in_format
+from codecbench.cli.run import exit_with_status, show_cells
+from codecbench.core.analysis import choosing, collect
+from codecbench.core.engine.plugins import registry
+from codecbench.core.report import choosing as choosing_tables
+from codecbench.core.rounds import running
+from codecbench.trial import choosing as trial_choosing
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.choosing import Demand
@@ -19,13 +25,13 @@ if TYPE_CHECKING:
 
 
 def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
-    """Reads a number with one of some units, as the first of them: `5cm` is 0.05 where that is the metre."""
+    """Return a reader of a number with a unit, in the first of `units`: `5cm` is 0.05 if that is the meter."""
 
     def quantity(text: str) -> float:
-        found = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z]+)", text)
-        if found is None or found[2] not in units or float(found[1]) <= 0:
+        match = re.fullmatch(r"(\d+\.?\d*|\.\d+)\s*([a-z]+)", text)
+        if match is None or match[2] not in units or float(match[1]) <= 0:
             raise click.BadParameter(f"{text!r} is not a positive number with one of {', '.join(units)}")
-        return float(found[1]) * units[found[2]]
+        return float(match[1]) * units[match[2]]
 
     return quantity
 
@@ -71,33 +77,34 @@ def choose(
     received and as little as asked, and enough frames are in time. A setting passes where more than half of all runs
     that there could be would succeed, at 95 %. Of a MATRIX a link, and a deadline or an error, are needed.
     """
-    from codecbench.core.analysis.choosing import Demand
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.trial.choosing import MINUTES, is_matrix
-
-    if is_matrix(source):
+    if trial_choosing.is_matrix(source):
         if link is None:
             raise click.UsageError("say over which link: --link, such as wifi_edge; `codecbench list links` names all")
         if deadline is None and error is None:
             raise click.UsageError("say what is asked: --deadline, --error or both")
-        demand = Demand(link, deadline, error, share, device_factor)
-        _run_and_choose(source, demand, out, workers, MINUTES if minutes is None else minutes, format_, everything)
+        demand = choosing.Demand(link, deadline, error, share, device_factor)
+        _run_and_choose(
+            source, demand, out, workers, trial_choosing.MINUTES if minutes is None else minutes, format_, everything
+        )
         return
-    of_matrix = {"--out": out, "--workers": workers, "--minutes": minutes}
-    if given := [name for name, value in of_matrix.items() if value is not None]:
-        raise click.UsageError(f"{given[0]} is for a matrix, and {source} is none")
+    matrix_options = {"--out": out, "--workers": workers, "--minutes": minutes}
+    if names := [name for name, value in matrix_options.items() if value is not None]:
+        raise click.UsageError(f"{names[0]} is for a matrix, and {source} is none")
     if device_factor is not None and deadline is None and error is None:
         raise click.UsageError("--device-factor makes pictures older, which counts beside a --deadline")
-    _show(open_nonempty_run(source), Demand(link or "", deadline, error, share, device_factor), format_, everything)
+    _show(
+        collect.open_nonempty_run(source),
+        choosing.Demand(link or "", deadline, error, share, device_factor),
+        format_,
+        everything,
+    )
 
 
 def _show(run: RunResult, demand: Demand, format_: str, everything: bool) -> None:
-    """The pick of each codec and the answers, and where asked every setting."""
-    from codecbench.core.report.choosing import choices, link_picks
-
-    *tables, answer = choices(run, demand)
-    behind = tables if everything or format_ == "json" else []
-    show_found(run, [*behind, *link_picks(run, demand), answer], format_, everything=everything)
+    """Print the pick of each codec and the answers, and every setting if asked."""
+    *tables, answer = choosing_tables.choices(run, demand)
+    details = tables if everything or format_ == "json" else []
+    print_in_format(run, [*details, *choosing_tables.link_picks(run, demand), answer], format_, everything=everything)
 
 
 def _run_and_choose(
@@ -109,20 +116,13 @@ def _run_and_choose(
     format_: str,
     everything: bool,
 ) -> None:
-    """Run what it takes to choose, told on standard error, choose, and end with the status that the run has earned."""
-    from codecbench.cli.display import Display
-    from codecbench.cli.run import end, show_cells
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.rounds.running import run_matrix
-    from codecbench.trial.link_matrix import link_matrix
-
-    made = link_matrix(matrix, demand, installed())
-    for line in made.added:
+    """Run what the choice needs, with progress on standard error, print it, and exit with the status of the run."""
+    link_matrix = trial_choosing.link_matrix(matrix, demand, registry.installed())
+    for line in link_matrix.added:
         click.echo(line, err=True)
-    with Display(Screen(stderr=True), True) as display:
-        summary = run_matrix(made.matrix, out, workers=workers, listener=display.show, minutes=minutes)
+    with display.Display(display.Screen(stderr=True), True) as progress:
+        summary = running.run_matrix(link_matrix.matrix, out, workers=workers, listener=progress.show, minutes=minutes)
     show_cells(summary, err=True)
     if not summary.interrupted and "ok" in summary.statuses:
-        _show(open_nonempty_run(summary.folder), made.demand, format_, everything)
-    end(summary)
+        _show(collect.open_nonempty_run(summary.folder), link_matrix.demand, format_, everything)
+    exit_with_status(summary)

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from codecbench.cli.exit_status import ExitStatus
-from codecbench.cli.formats import Format
-from codecbench.cli.saying import say
-from codecbench.cli.screen import plain_table
+from codecbench.cli import display
+from codecbench.cli.messages import ExitStatus, say
+from codecbench.cli.parameters import Format
+from codecbench.core.analysis import comparison
+from codecbench.core.analysis import table as analysis_table
+from codecbench.core.report import formatting, tables
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.comparison import Comparison
@@ -21,8 +23,8 @@ if TYPE_CHECKING:
 _HEADS = ("sequence", "codec", "setting", "evaluator", "metric", "before", "after", "change", "verdict", "note")
 _MOST_ROWS: Final = 20
 _LONG_NAME: Final = 24
-_TELLING: Final = ("worse", "changed", "better", "cannot tell", "same")
-"""Verdicts in the order in which people look for them."""
+_BY_INTEREST: Final = ("worse", "changed", "better", "cannot tell", "same")
+"""Verdicts in the order in which readers look for them."""
 _FAILING = {
     "worse": {"worse"},
     "changed": {"worse", "better", "changed"},
@@ -71,63 +73,52 @@ def compare(
     agrees, and a change of less than 10 microseconds a frame counts as none. Between different machines the verdict on
     times is “cannot tell”, with a warning. Runs with nothing in common to compare make the exit status 1, too.
     """
-    from codecbench.core.analysis.comparison import compare as compared
-    from codecbench.core.analysis.comparison import read_snapshot, write_snapshot
-
-    first = read_snapshot(before)
+    first = comparison.read_snapshot(before)
     if save is not None:
-        write_snapshot(first, save)
+        comparison.write_snapshot(first, save)
         click.echo(f"{save}: {len(first.series):,} series of {first.name}")
         return
     if after is None:
         raise click.UsageError("name a second run to compare with, or --save FILE to keep a baseline")
-    second = read_snapshot(after)
+    second = comparison.read_snapshot(after)
     if set(first.machines) != set(second.machines):
         machines = " | ".join("; ".join(snapshot.machines) for snapshot in (first, second))
         warning = f"warning: the runs are from different machines ({machines}); changes of times cannot be judged"
         say(warning, err=True)
-    found = compared(first, second, metrics=metrics, time_tolerance=time_tolerance)
-    unequal = any(comparison.verdict in _FAILING[fail_on] for comparison in found)
+    comparisons = comparison.compare(first, second, metrics=metrics, time_tolerance=time_tolerance)
+    unequal = any(row.verdict in _FAILING[fail_on] for row in comparisons)
     common = {series.key for series in first.series} & {series.key for series in second.series}
-    nothing = not any(comparison.key in common for comparison in found)
-    _print(found, format_, everything, nothing)
-    if found and nothing:
-        said = "the runs have nothing in common: no sequence with the same setting, evaluator and metric"
-        say(said, err=True)
+    nothing = not any(row.key in common for row in comparisons)
+    _print(comparisons, format_, everything, nothing)
+    if comparisons and nothing:
+        say("the runs have nothing in common: no sequence with the same setting, evaluator and metric", err=True)
     if unequal or (nothing and fail_on != "never"):
         raise click.exceptions.Exit(ExitStatus.FOUND)
 
 
-def _print(found: list[Comparison], format_: str, everything: bool, nothing: bool) -> None:
-    """Say what was found. nothing: the runs have nothing in common, so that people are shown no row unless they ask."""
-    rows = [comparison for comparison in found if everything or comparison.verdict != "same"]
-    counts = Counter(comparison.verdict for comparison in found)
+def _print(comparisons: list[Comparison], format_: str, everything: bool, nothing: bool) -> None:
+    """Print the comparisons. nothing: the runs have nothing in common, so that no row is shown unless asked for."""
+    rows = [row for row in comparisons if everything or row.verdict != "same"]
+    counts = Counter(row.verdict for row in comparisons)
     verdicts = ", ".join(f"{count:,} {verdict}" for verdict, count in counts.most_common()) or "nothing to compare"
     if format_ == "json":
-        from codecbench.core.analysis.table import json_value
-
-        values = [dict(zip(_HEADS, map(json_value, _cells(row)), strict=True)) for row in rows]
+        values = [dict(zip(_HEADS, map(analysis_table.json_value, _cells(row)), strict=True)) for row in rows]
         click.echo(json.dumps({"counts": counts, "rows": values}, indent=1))
         return
     if format_ == "markdown":
-        from codecbench.core.report.tables import foreign_table
-
         if rows:
-            click.echo(foreign_table(_HEADS, map(_cells, rows)))
+            click.echo(tables.foreign_table(_HEADS, map(_cells, rows)))
     elif rows and (everything or not nothing):
         _show(rows, everything)
-    click.echo(f"same: all {len(found):,} series" if counts.keys() == {"same"} else verdicts)
+    click.echo(f"same: all {len(comparisons):,} series" if counts.keys() == {"same"} else verdicts)
 
 
 def _show(rows: list[Comparison], everything: bool) -> None:
-    """Rows as a table in the terminal: all, or the most telling ones."""
-    from codecbench.core.report.formatting import compact_table
-    from codecbench.core.report.tables import format_value
-
+    """Print rows as a table in the terminal: all, or the most interesting ones."""
     if not everything:
-        # A series that got or lost its result has no change in numbers, and is told first.
+        # A series that got or lost its result has no change in numbers, and comes first.
         sizes = {id(row): math.inf if math.isnan(row.relative) else abs(row.relative) for row in rows}
-        rows = sorted(rows, key=lambda row: (_TELLING.index(row.verdict), -sizes[id(row)]))
+        rows = sorted(rows, key=lambda row: (_BY_INTEREST.index(row.verdict), -sizes[id(row)]))
     most = len(rows) if everything else _MOST_ROWS
     cells = [
         {
@@ -135,15 +126,15 @@ def _show(rows: list[Comparison], everything: bool) -> None:
             "sequence": row.key[0],
             "setting": " ".join(row.key[1:3]).rstrip(),
             "metric": _metric(row),
-            "before": format_value(row.before),
-            "after": format_value(row.after),
-            "change %": format_value(100.0 * row.relative),
+            "before": tables.format_value(row.before),
+            "after": tables.format_value(row.after),
+            "change %": tables.format_value(100.0 * row.relative),
             "note": row.note,
         }
         for row in rows[:most]
     ]
-    table = compact_table("", cells)
-    plain_table(table.heads, table.rows)
+    table = formatting.compact_table("", cells)
+    display.plain_table(table.heads, table.rows)
     for sentence in table.sentences:
         say(sentence)
     if len(rows) > most:
@@ -151,7 +142,7 @@ def _show(rows: list[Comparison], everything: bool) -> None:
 
 
 def _metric(row: Comparison) -> str:
-    """`quality.psnr_gray_db` as --metric takes it, on two lines where it is long."""
+    """Return the name as --metric takes it, such as `quality.psnr_gray_db`, on two lines if it is long."""
     name = ".".join(row.key[3:])
     return name if len(name) <= _LONG_NAME else name.replace(".", ".\n", 1)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import click
 from rich.progress import DownloadColumn, Progress, TaskID, TransferSpeedColumn
 
-from codecbench.cli.saying import say
-from codecbench.cli.screen import Screen
+from codecbench.cli import display
+from codecbench.cli.messages import say
+from codecbench.plugins.datasets import catalog
 
 
 @click.group()
@@ -17,9 +18,7 @@ def data() -> None:
 @data.command("list")
 def list_data() -> None:
     """List the datasets that codecbench knows, with licence and citation."""
-    from codecbench.plugins.datasets.catalog import list_datasets
-
-    for entry in list_datasets():
+    for entry in catalog.list_datasets():
         state = "there" if entry.is_there else "by hand" if entry.manual else _size(entry.size_bytes)
         say(f"{entry.name}  [{state}]  sequence: use: {entry.kind}", indent=4, bold=True)
         say(f"    {entry.licence}; {entry.homepage}", indent=4)
@@ -30,12 +29,10 @@ def list_data() -> None:
 @click.argument("name")
 def fetch(name: str) -> None:
     """Fetch the dataset NAME, resuming a download that was cut, and print its folder."""
-    from codecbench.plugins.datasets import catalog
-
     entry = catalog.find(name)
     click.echo(f"{entry.name}: {entry.licence}\n{entry.citation}", err=True)
     columns = (*Progress.get_default_columns(), DownloadColumn(), TransferSpeedColumn())
-    with Progress(*columns, console=Screen(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=display.Screen(stderr=True), transient=True) as bar:
         tasks: dict[str, TaskID] = {}
 
         def show(file: str, arrived: int, total: int | None) -> None:
@@ -52,8 +49,6 @@ def fetch(name: str) -> None:
 @click.argument("name")
 def path(name: str) -> None:
     """Print the folder of the dataset NAME, if it has been fetched."""
-    from codecbench.plugins.datasets import catalog
-
     click.echo(str(catalog.path(name)))
 
 

@@ -8,20 +8,25 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from codecbench.cli.completion import codec_names
+from codecbench.cli.parameters import codec_names
+from codecbench.core.conformance import settings
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.storage import atomic, bitstream_file
+from codecbench.core.engine.storage import store as run_store
 from codecbench.core.engine.text import counted
+from codecbench.plugins.codecs.video import codecs, muxing
 
 if TYPE_CHECKING:
     from codecbench.core.engine.planning.model import CodingJob
     from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 
-_ENDINGS: Final = {
+_SUFFIXES: Final = {
     b"\xff\xd8\xff": ".jpg",
     b"\x89PNG": ".png",
     b"\x00\x00\x00\x0cjP": ".jp2",
     b"\xff\x4f\xff\x51": ".j2k",
 }
-"""Of files of single pictures, by how they begin; any other bitstream is written as `.bin`."""
+"""Suffixes of image files by their first bytes; any other bitstream gets `.bin`."""
 
 
 @click.command()
@@ -39,12 +44,9 @@ def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate
     Packets of a video codec go into one file as they are. Bitstreams of a codec of single pictures go into a new
     folder, a file each: JPEG, JPEG 2000 and PNG as such, others as codecbench keeps them.
     """
-    from codecbench.core.engine.storage.bitstream_file import BitstreamFile
-    from codecbench.core.engine.storage.store import Store
-
-    store = Store(run)
+    store = run_store.Store(run)
     job = _job(store.read_plan().jobs, codec, setting, sequence)
-    bitstreams = BitstreamFile(store.coded_path(job.id), job.id)
+    bitstreams = bitstream_file.BitstreamFile(store.coded_path(job.id), job.id)
     if bitstreams.is_stream:
         _write_video(bitstreams, job, frame_rate_hz or job.sequence.frame_rate_hz, out)
     else:
@@ -52,26 +54,22 @@ def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate
 
 
 def _job(jobs: Sequence[CodingJob], codec: str, setting: str, sequence: str | None) -> CodingJob:
-    """The one job that is meant. Raises UsageError where it is none or several."""
-    from codecbench.core.conformance.settings import setting_from_text
-
-    wanted = setting_from_text(setting)
-    found = [
+    """Return the coding job that the options select. Raises UsageError if none or several match."""
+    wanted = settings.setting_from_text(setting)
+    matches = [
         job for job in jobs
         if job.codec.name == codec and sequence in (None, job.sequence.name)
         and all(name in job.codec.params and job.codec.params[name] == value for name, value in wanted.items())
     ]  # fmt: skip
-    if len(found) == 1:
-        return found[0]
-    said = "; ".join(f"{job.codec.name} {job.codec.label} on {job.sequence.name}" for job in found or jobs)
-    if found:
-        raise click.UsageError(f"several are meant; say which by --setting and --sequence: {said}")
-    raise click.UsageError(f"the run has no {codec} {setting} on {sequence or 'any sequence'}; it has: {said}")
+    if len(matches) == 1:
+        return matches[0]
+    names = "; ".join(f"{job.codec.name} {job.codec.label} on {job.sequence.name}" for job in matches or jobs)
+    if matches:
+        raise click.UsageError(f"several are meant; say which by --setting and --sequence: {names}")
+    raise click.UsageError(f"the run has no {codec} {setting} on {sequence or 'any sequence'}; it has: {names}")
 
 
 def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> None:
-    from codecbench.core.engine.storage.atomic import write_folder
-
     if out.suffix:
         message = f"{job.codec.name} codes pictures on their own, which are no video"
         raise click.UsageError(f"--out {out}: {message}; name a new folder, for a file each")
@@ -80,29 +78,24 @@ def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> Non
     contents = {}
     for frame in range(len(bitstreams)):
         data = bitstreams.read(frame)
-        ending = next((ending for magic, ending in _ENDINGS.items() if data.startswith(magic)), ".bin")
-        contents[f"{frame:06}{ending}"] = data
-    write_folder(out, contents)
+        suffix = next((suffix for magic, suffix in _SUFFIXES.items() if data.startswith(magic)), ".bin")
+        contents[f"{frame:06}{suffix}"] = data
+    atomic.write_folder(out, contents)
     click.echo(f"{out}: {counted(len(contents), 'file')}")
 
 
 def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float, out: Path) -> None:
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.storage.atomic import write_file
-    from codecbench.plugins.codecs.video.codecs import VideoCodec
-    from codecbench.plugins.codecs.video.muxing import file_from_packets
-
-    registry = installed()
+    plugins = registry.installed()
     codec = (
         None
-        if registry.find("codec", job.codec.name).hosted
-        else registry.create("codec", job.codec.name, job.codec.params)
+        if plugins.find("codec", job.codec.name).hosted
+        else plugins.create("codec", job.codec.name, job.codec.params)
     )
     if not frame_rate_hz:
         raise click.UsageError(f"the plan does not know the frame rate of {job.sequence.name}; give --frame-rate")
-    if not isinstance(codec, VideoCodec):
+    if not isinstance(codec, codecs.VideoCodec):
         raise click.UsageError(f"what {job.codec.full_name} sends is of no format that video files take")
     packets = [sent.packet(bitstreams.read(sent.frame)) for sent in bitstreams.packets]
-    content = file_from_packets(codec, packets, frame_rate_hz, out.name)
-    write_file(out, content)
+    content = muxing.file_from_packets(codec, packets, frame_rate_hz, out.name)
+    atomic.write_file(out, content)
     click.echo(f"{out}: {counted(len(packets), 'frame')}, {len(content)} bytes")

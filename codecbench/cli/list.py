@@ -7,10 +7,13 @@ from typing import Any
 
 import click
 
-from codecbench.cli.completion import plugin_names
+from codecbench.cli.messages import say
+from codecbench.cli.parameters import plugin_names
 from codecbench.core.contracts.hooks import KINDS, Kind
+from codecbench.core.engine.planning import schema as json_schema
 from codecbench.core.engine.plugins.plugin import Plugin
 from codecbench.core.engine.plugins.registry import Registry, installed
+from codecbench.core.engine.text import clean_line
 
 _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 
@@ -20,25 +23,22 @@ _PLURALS: dict[str, Kind] = {f"{kind}s": kind for kind in KINDS}
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs to read.")
 def list_plugins(kinds: tuple[str, ...], as_json: bool) -> None:
     """List installed plugins: all, or those of the KINDS given."""
-    from codecbench.cli.saying import say
-    from codecbench.core.engine.text import clean_line
-
     registry = installed()
-    wanted = [_PLURALS[kind.replace("-", "_")] for kind in kinds] or list(KINDS)
-    plugins = {kind: registry.plugins(kind) for kind in wanted}
+    selected = [_PLURALS[kind.replace("-", "_")] for kind in kinds] or list(KINDS)
+    plugins = {kind: registry.plugins(kind) for kind in selected}
     if as_json:
         click.echo(json.dumps(_rows(plugins, registry), indent=2))
         return
-    for kind, found in plugins.items():
+    for kind, group in plugins.items():
         click.secho(f"{kind.replace('_', ' ')}s", bold=True)
-        width = max((len(plugin.spec.name) for plugin in found), default=0)
-        for plugin in found:
+        width = max((len(plugin.spec.name) for plugin in group), default=0)
+        for plugin in group:
             origin = "" if plugin.distribution.startswith("codecbench ") else f"  [{plugin.distribution}]"
             line = f"  {plugin.spec.name:<{width}}  {clean_line(plugin.spec.summary)}{origin}"
             say(line, indent=width + 4)
             if plugin.missing:
                 say(f"      not available: {plugin.missing}", indent=6)
-        if not found:
+        if not group:
             click.echo("  none")
     for problem in registry.problems:
         say(f"problem: {problem}", fg="yellow", err=True)
@@ -54,9 +54,9 @@ def _rows(plugins: dict[Kind, list[Plugin]], registry: Registry) -> dict[str, An
                 "distribution": plugin.distribution,
                 "missing": plugin.missing,
             }
-            for plugin in found
+            for plugin in group
         ]
-        for kind, found in plugins.items()
+        for kind, group in plugins.items()
     }
     rows["problems"] = [str(problem) for problem in registry.problems]
     return rows
@@ -70,8 +70,6 @@ def schema(plugin: str | None) -> None:
     An editor that knows the schema can complete and check a matrix as you type. If plugins of two kinds share a name,
     write KIND:NAME (codec:raw).
     """
-    from codecbench.core.engine.planning.schema import matrix_schema, plugin_schema
-
     registry = installed()
-    value = plugin_schema(registry, plugin) if plugin else matrix_schema(registry)
+    value = json_schema.plugin_schema(registry, plugin) if plugin else json_schema.matrix_schema(registry)
     click.echo(json.dumps(value, indent=2))

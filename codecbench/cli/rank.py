@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from codecbench.cli.formats import Format
-from codecbench.cli.saying import say
-from codecbench.cli.screen import plain_table
+from codecbench.cli import display, show
+from codecbench.cli.messages import say
+from codecbench.cli.parameters import Format
+from codecbench.core.analysis import collect
+from codecbench.core.report import answers, formatting, picks, tables
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
 FORMATS: Final = ("text", "markdown", "latex", "json")
 _NOTES: Final = 4
-"""Lines of notes that are printed where not all is asked for."""
+"""How many lines of notes are printed without --all."""
 
 everything_option = click.option("--all", "everything", is_flag=True, help="Also all that stands behind the answer.")
 
@@ -40,29 +42,24 @@ def rank(run: Path, format_: str, everything: bool, rates: tuple[float, ...]) ->
     With --all also which codecs are ahead by each task on each sequence, what is undecided and what would decide it,
     and down to which rate each codec passes. JSON always has all of it.
     """
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.formatting import verdicts, verdicts_at
-    from codecbench.core.report.picks import answer_tables
-
-    result = open_nonempty_run(run)
+    result = collect.open_nonempty_run(run)
     if rates:
-        show_found(result, [verdict for rate in rates for verdict in verdicts_at(result, rate)], format_)
+        print_in_format(
+            result, [verdict for rate in rates for verdict in formatting.verdicts_at(result, rate)], format_
+        )
         return
-    behind = verdicts(result) if everything or format_ == "json" else []
-    show_found(result, [*behind, *answer_tables(result)], format_, everything=everything)
+    details = formatting.verdicts(result) if everything or format_ == "json" else []
+    print_in_format(result, [*details, *picks.answer_tables(result)], format_, everything=everything)
 
 
 def show_answer(result: RunResult) -> None:
-    """Print the pick of each codec, and last what to take."""
-    from codecbench.core.report.picks import answer_tables
-
-    _show_with_answer(answer_tables(result))
+    """Print the pick of each codec, and the answer last."""
+    _show_tables_and_answer(picks.answer_tables(result))
 
 
-def _show_with_answer(found: list[Verdict]) -> None:
-    *tables, answer = found
-    show_verdicts(tables)
-    for sentence in answer.sentences:
+def _show_tables_and_answer(verdicts: list[Verdict]) -> None:
+    show_verdicts(verdicts[:-1])
+    for sentence in verdicts[-1].sentences:
         say(sentence)
 
 
@@ -79,56 +76,44 @@ def power(run: Path, power: float, format_: str) -> None:
     share POWER of cases; and what would decide: settings, up to a hundredfold of frames, sequences, or nothing. For
     each setting that can fail: from which success rate on so many runs would show that it passes.
     """
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.formatting import power_verdicts
-
-    result = open_nonempty_run(run)
-    show_found(result, power_verdicts(result, power), format_)
+    result = collect.open_nonempty_run(run)
+    print_in_format(result, formatting.power_verdicts(result, power), format_)
 
 
 def show_everything(result: RunResult) -> None:
-    """What stands behind the answer over all sequences together: verdicts, a sentence a codec, and the headlines."""
-    from codecbench.cli.show import show_table
-    from codecbench.core.report.answers import answers_of_settings
-    from codecbench.core.report.formatting import verdicts
-    from codecbench.core.report.tables import short_table
-
-    show_verdicts(verdicts(result, brief=True))
-    for found in answers_of_settings(result):
-        for line in (*found.lines, ""):
+    """Print what the answer rests on, over all sequences: verdicts, a sentence for each codec, the primary metrics."""
+    show_verdicts(formatting.verdicts(result, brief=True))
+    for answer in answers.answers_of_settings(result):
+        for line in (*answer.lines, ""):
             say(line)
-    show_table(short_table(result, brief=True), result.plan.name)
+    show.show_table(tables.short_table(result, brief=True), result.plan.name)
 
 
-def show_found(result: RunResult, found: list[Verdict], format_: str, *, everything: bool = True) -> None:
-    """The verdicts on a run in one of the formats, with what is noted of its settings; for people the answer last."""
-    from codecbench.core.report.tables import calibration_notes, setting_notes
-
-    notes = [*calibration_notes(result), *setting_notes(result)]
+def print_in_format(result: RunResult, verdicts: list[Verdict], format_: str, *, everything: bool = True) -> None:
+    """Print verdicts on a run in a format, with notes on its settings; as text the answer comes last."""
+    notes = [*tables.calibration_notes(result), *tables.setting_notes(result)]
     if format_ == "json":
-        about = [None if verdict.about is None else verdict.about.name for verdict in found]
-        rows = [{**vars(verdict), "about": name} for verdict, name in zip(found, about, strict=True)]
+        names = [None if verdict.about is None else verdict.about.name for verdict in verdicts]
+        rows = [{**vars(verdict), "about": name} for verdict, name in zip(verdicts, names, strict=True)]
         click.echo(json.dumps(rows, indent=1))
     elif format_ == "text":
-        has_answer = bool(found) and found[-1].title == "answer"
-        if not found:
+        has_answer = bool(verdicts) and verdicts[-1].title == "answer"
+        if not verdicts:
             say("nothing to rank: it takes a rate, and a headline of role task, quality or success; "
                 "with --rate, two codecs whose settings reach it")  # fmt: skip
         if not has_answer:
-            show_verdicts(found)
+            show_verdicts(verdicts)
         show_notes(notes, everything)
         if has_answer:
-            _show_with_answer(found)
+            _show_tables_and_answer(verdicts)
     else:
-        from codecbench.core.report.picks import text_to_paste
-
-        click.echo(text_to_paste(result, found, format_), nl=False)
+        click.echo(picks.text_to_paste(result, verdicts, format_), nl=False)
     if result.missing:
         say(f"{result.missing} cells of the plan have no record yet", err=True)
 
 
 def show_notes(notes: list[str], everything: bool) -> None:
-    """What is noted beside numbers: the first of it, and how much more there is."""
+    """Print notes: the first ones, and how many more there are."""
     shown = notes if everything or len(notes) <= _NOTES else notes[: _NOTES - 1]
     for note in shown:
         say(note, fg="yellow")
@@ -136,12 +121,12 @@ def show_notes(notes: list[str], everything: bool) -> None:
         say(f"{more} more notes: --all shows them", fg="yellow")
 
 
-def show_verdicts(found: list[Verdict]) -> None:
-    """The verdicts in the terminal."""
-    for verdict in found:
+def show_verdicts(verdicts: list[Verdict]) -> None:
+    """Print verdicts in the terminal."""
+    for verdict in verdicts:
         say(verdict.title, bold=True)
         if verdict.rows:
-            plain_table(verdict.heads, verdict.rows)
+            display.plain_table(verdict.heads, verdict.rows)
         for sentence in verdict.sentences:
             say(sentence)
         click.echo()

@@ -1,4 +1,4 @@
-"""`codecbench report` and `codecbench plot`."""
+"""`codecbench report`, `codecbench plot`, `codecbench table` and `codecbench reproduce`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,18 @@ from pathlib import Path
 
 import click
 
-from codecbench.cli.formats import Format
+from codecbench.cli import show
+from codecbench.cli.messages import say
+from codecbench.cli.parameters import Format
+from codecbench.cli.rank import show_verdicts
+from codecbench.core.analysis import collect
+from codecbench.core.analysis import table as analysis_table
+from codecbench.core.engine import text as terminal_text
+from codecbench.core.engine.storage import atomic
+from codecbench.core.report import choosing as choosing_tables
+from codecbench.core.report import figures, tables
+from codecbench.core.report import page as report_page
+from codecbench.paper import page as paper_page
 
 
 def _numbers(_context: click.Context, _option: click.Parameter, text: str | None) -> list[int]:
@@ -28,12 +39,11 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @click.option("--frames", metavar="N,N,...", callback=_numbers, help="Show these frames, from 0, and not a few of all.")
 def report(run: Path, out: Path | None, format_: str, sequences_from: str | None, frames: list[int]) -> None:
     """Write a report of the RUN folder: one HTML page that needs no network, or its tables as Markdown or LaTeX."""
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.page import write_report
-
     suffix = {"html": "html", "markdown": "md", "latex": "tex"}[format_]
     path = out or run / "report" / f"report.{suffix}"
-    size = write_report(open_nonempty_run(run), path, format_, sequences_from=sequences_from, frames=frames)
+    size = report_page.write_report(
+        collect.open_nonempty_run(run), path, format_, sequences_from=sequences_from, frames=frames
+    )
     click.echo(f"{path} ({size / 1e6:.1f} MB)" if size > 1e5 else str(path))
 
 
@@ -43,11 +53,70 @@ def report(run: Path, out: Path | None, format_: str, sequences_from: str | None
 @click.option("--format", "format_", type=click.Choice(["svg", "png", "pdf"]), default="svg", show_default=True)
 def plot(run: Path, out: Path | None, format_: str) -> None:
     """Draw the figures of the RUN folder: curves over the rate, bars by stage, and maps."""
-    from codecbench.core.analysis.collect import open_nonempty_run
-    from codecbench.core.report.figures import draw_all
-
     path = None
-    for path in draw_all(open_nonempty_run(run), out or run / "report", format_):
+    for path in figures.draw_all(collect.open_nonempty_run(run), out or run / "report", format_):
         click.echo(str(path))
     if path is None:
         click.echo("no figure: the run has no path, and no rate with a metric that differs between codecs")
+
+
+FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
+
+
+@click.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option(
+    "--wide", "shape", flag_value="wide", default=True, help="One row a sequence and codec setting (default)."
+)
+@click.option("--tidy", "shape", flag_value="tidy", help="One row a measurement.")
+@click.option("--all", "every", is_flag=True, help="All columns, and not only the headlines.")
+@click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
+@click.option("--columns", help="Only these columns of the wide table, separated by commas; `*` matches anything.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
+def table(run: Path, shape: str, every: bool, format_: str, columns: str | None, out: Path | None) -> None:
+    """Print or write a table of the RUN folder: for people its headlines, for programs everything."""
+    result = collect.open_nonempty_run(run)
+    frame, same = result.wide if shape == "wide" else result.tidy, ""
+    headlines = shape == "wide" and columns is None and not every
+    if columns is not None:
+        frame = tables.select_columns(frame, columns)
+    if format_ == "text":
+        if out is not None:
+            raise click.UsageError("--out needs a --format other than text")
+        if headlines:
+            show.show_summary(result)
+            show_verdicts(choosing_tables.link_verdicts(result)[-1:])
+            show.show_reasons(result)
+            said = f"{len(frame.columns)} columns in all: --all or --columns shows them, --format csv writes them"
+            say(said)
+            return
+        whole = [name for name in frame.columns if columns is not None or "/" not in name]
+        show.show_table(frame[whole], result.plan.name)
+        if left_out := len(frame.columns) - len(whole):
+            count = terminal_text.counted(left_out, "column")
+            say(f"{count} of single stages left out here; --columns '*/*' shows them")
+        return
+    if headlines and format_ in ("markdown", "latex"):
+        frame, same = tables.drop_constant_columns(
+            tables.short_table(result).join(result.wide.filter([analysis_table.NOTES]))
+        )
+    content = tables.export_table(frame, format_, same)
+    if out is not None:
+        atomic.write_file(out, content)
+        click.echo(str(out))
+    elif format_ == "parquet":
+        raise click.UsageError("--format parquet is not text; name a file with --out")
+    else:
+        click.echo(content.decode(), nl=False)
+
+
+@click.command()
+@click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("paper.md"), show_default=True)
+def reproduce(runs: tuple[Path, ...], out: Path) -> None:
+    """Write the page that puts the paper beside a run of examples/paper.yaml, table by table.
+
+    Trajectories of further runs, such as examples/paper_loops.yaml, are added.
+    """
+    for path in paper_page.write_page([collect.open_nonempty_run(run) for run in runs], out):
+        click.echo(str(path))

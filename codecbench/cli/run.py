@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from codecbench.cli.completion import plugin_names
-from codecbench.cli.display import Display
-from codecbench.cli.exit_status import ExitStatus
-from codecbench.cli.rank import everything_option, show_answer
-from codecbench.cli.screen import Screen
-from codecbench.core.engine.text import counted
+from codecbench.cli import display
+from codecbench.cli.messages import ExitStatus
+from codecbench.cli.parameters import plugin_names
+from codecbench.cli.rank import everything_option, show_answer, show_everything, show_notes
+from codecbench.core.analysis import collect
+from codecbench.core.engine.planning import matrix as matrix_file
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.storage import store as run_store
+from codecbench.core.engine.text import clean_line, counted
+from codecbench.core.report import page as report_page
+from codecbench.core.report import tables
+from codecbench.core.rounds import running
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
@@ -54,21 +60,16 @@ def run(
     Continues where an earlier run in the same folder stopped. The exit status is 1 if a cell failed or none has a
     result, and 130 if the run was stopped.
     """
-    from codecbench.core.engine.planning.matrix import read_matrix
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.text import clean_line
-    from codecbench.core.rounds.running import run_matrix
-
-    for problem in installed().problems:
+    for problem in registry.installed().problems:
         click.secho(f"left out: {clean_line(str(problem))}", fg="yellow", err=True)
-    read = read_matrix(matrix)
-    with Display(Screen(stderr=True, quiet=quiet), keep_going) as display:
-        summary = run_matrix(
-            read,
+    parsed = matrix_file.read_matrix(matrix)
+    with display.Display(display.Screen(stderr=True, quiet=quiet), keep_going) as progress:
+        summary = running.run_matrix(
+            parsed,
             out,
             workers=workers,
             recompute=recompute,
-            listener=display.show,
+            listener=progress.show,
             log_level=logging.getLevelName(log_level.upper()),
         )
     result = _show(summary, quiet, everything)
@@ -77,77 +78,69 @@ def run(
         click.echo(f"report: `codecbench report {summary.folder}` writes {page}")
         if result is not None:
             show_answer(result)
-    end(summary)
+    exit_with_status(summary)
 
 
 def run_and_report(
     matrix: Matrix, out: Path | None, *, workers: int | None, show: bool, minutes: float, everything: bool
 ) -> None:
-    """Run a matrix that was made, write its report and say where it is; with `show` it is opened in a browser.
+    """Run a matrix, write its report and print where it is; with `show` open it in a browser.
 
-    everything: print all that stands behind the answer. minutes: searches try nothing that would end later, and name
-    what they did not try.
+    everything: print all that the answer rests on. minutes: searches try nothing that would end later, and name what
+    they did not try.
     """
-    from codecbench.core.report.page import write_report
-    from codecbench.core.rounds.running import run_matrix
-
-    with Display(Screen(stderr=True), True) as display:
-        summary = run_matrix(matrix, out, workers=workers, listener=display.show, minutes=minutes)
+    with display.Display(display.Screen(stderr=True), True) as progress:
+        summary = running.run_matrix(matrix, out, workers=workers, listener=progress.show, minutes=minutes)
     result = _show(summary, False, everything)
     click.echo(f"the matrix: {summary.folder / 'matrix.yaml'}")
     if result is not None and "ok" in summary.statuses:
         page = (summary.folder / "report" / "report.html").absolute()
-        write_report(result, page, "html")
+        report_page.write_report(result, page, "html")
         click.echo(f"the report: {page.as_uri()}")
         show_answer(result)
         if show:
             click.launch(page.as_uri())
-    end(summary)
+    exit_with_status(summary)
 
 
 def _show(summary: RunSummary, quiet: bool, everything: bool) -> RunResult | None:
-    """What is noted of the run and what became of its cells; before it, where asked, all that it decides."""
+    """Print, if asked, all that the run decides, then its notes and what became of its cells."""
     result = None
     if not quiet and summary.statuses and not (summary.interrupted and "ok" not in summary.statuses):
-        from codecbench.cli.rank import show_everything, show_notes
-        from codecbench.core.analysis.collect import open_run
-        from codecbench.core.report.tables import notes
-
-        result = open_run(summary.folder)
+        result = collect.open_run(summary.folder)
         if everything:
             show_everything(result)
-        stopped = [f"{found.codec}: {found.words}." for found in result.plan.searches if found.state == "stopped"]
-        show_notes([*stopped, *notes(result)], everything)
+        stopped = [f"{search.codec}: {search.words}." for search in result.plan.searches if search.state == "stopped"]
+        show_notes([*stopped, *tables.notes(result)], everything)
     show_cells(summary)
     return result
 
 
 def show_cells(summary: RunSummary, *, err: bool = False) -> None:
-    """What became of the cells of a run, and where it is; err: all of it on standard error."""
+    """Print what became of the cells of a run, and its folder. err: print all of it on standard error."""
     counts = ", ".join(f"{count} {status}" for status, count in sorted(summary.statuses.items()))
-    kept = f", {summary.kept} of them from before" if summary.kept else ""
-    click.echo(f"cells: {counts or 'none'}{kept}", err=err)
-    for reason, count in Counter(_unsupported(summary)).items():
+    kept_cells = f", {summary.kept} of them from before" if summary.kept else ""
+    click.echo(f"cells: {counts or 'none'}{kept_cells}", err=err)
+    for reason, count in Counter(_unsupported_reasons(summary)).items():
         click.echo(f"unsupported ({count}): {reason}", err=True)
     click.echo(f"run folder: {summary.folder}", err=err)
     if summary.damaged:
         click.echo(f"damaged and computed again: {counted(len(summary.damaged), 'cell')}; run.log says why", err=True)
 
 
-def _unsupported(summary: RunSummary) -> list[str]:
-    """Why cells of the plan cannot be computed here, cell by cell."""
+def _unsupported_reasons(summary: RunSummary) -> list[str]:
+    """Return why cells of the plan cannot be computed here, cell by cell."""
     if "unsupported" not in summary.statuses:
         return []
-    from codecbench.core.engine.storage.store import Store
 
-    store = Store(summary.folder)
+    store = run_store.Store(summary.folder)
     entries = store.entries()
-    found = (entries[cell.id] for cell in store.read_plan().cells if cell.id in entries)
-    return [entry.reason for entry in found if entry.status == "unsupported"]
+    recorded = (entries[cell.id] for cell in store.read_plan().cells if cell.id in entries)
+    return [entry.reason for entry in recorded if entry.status == "unsupported"]
 
 
-def end(summary: RunSummary) -> None:
-    """End with the exit status that the run has earned."""
+def exit_with_status(summary: RunSummary) -> None:
+    """End the command with the exit status that fits the run."""
     if summary.interrupted:
         before = "" if "ok" in summary.statuses else " before a cell had a result"
         click.echo(f"stopped by {summary.interrupted}{before}; the same command continues from here", err=True)

@@ -1,4 +1,4 @@
-"""Tables in the terminal."""
+"""Tables of a run in the terminal."""
 
 from __future__ import annotations
 
@@ -12,57 +12,54 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from codecbench.cli.saying import say
-from codecbench.cli.screen import Screen
+from codecbench.cli.display import Screen
+from codecbench.cli.messages import say
+from codecbench.core.report import tables
 
 if TYPE_CHECKING:
     from codecbench.core.analysis.run_result import RunResult
 
 _MOST_ROWS: Final = 400
 _LEADING: Final = ("sequence", "codec", "setting")
-"""Columns that say which row is which, in every part of a table too wide for the screen."""
+"""Columns that identify a row, repeated in every part of a table that is too wide for the screen."""
 _FOLDED: Final = 40
-"""Characters: longer texts are folded."""
+"""Longer texts are folded; in characters."""
 _BETWEEN: Final = 2
-"""Characters between two columns."""
+"""Space between two columns, in characters."""
 
 
 def show_summary(result: RunResult) -> None:
-    """What evaluators declare as their headlines, the numbers that most people ask for first, and what is noted."""
-    from codecbench.core.report.tables import drop_constant_columns, notes, short_table
-
-    frame, same = drop_constant_columns(short_table(result, brief=True))
+    """Print the primary metrics of the evaluators as a table, and notes."""
+    frame, same = tables.drop_constant_columns(tables.short_table(result, brief=True))
     left_out = show_table(frame, result.plan.name, brief=True)
     if same:
         say(same)
     if left_out:
         say(f"left out for lack of width: {', '.join(left_out)}; --all shows them")
-    for note in notes(result):
+    for note in tables.notes(result):
         say(note, fg="yellow")
 
 
 def show_reasons(result: RunResult) -> None:
-    """Why cells have no result: each reason once, with how many cells gave it."""
+    """Print why cells have no result: each reason once, with its number of cells."""
     unmeasured = Counter((cell.status, cell.reason) for cell in result.results if cell.status != "ok")
     for (status, reason), count in unmeasured.most_common():
         say(f"{status} ({count}): {reason}", fg="yellow")
 
 
 def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False) -> list[str]:
-    """A table in the terminal, in as many parts as its width takes; long ones end with how many rows were left out.
+    """Print a table in as many parts as its width needs; a long one ends with the number of rows left out.
 
-    brief: one part of what fits, with texts folded at their words, those of `_LEADING` too where they would take more
-    than half of the screen; what is left out is returned.
+    brief: print one part with the columns that fit and return the names of the others. Texts are folded at their words,
+    those of `_LEADING` too if they would take more than half of the screen.
     """
-    from codecbench.core.report.tables import format_value
-
     console = Screen()
-    texts = [[format_value(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
+    texts = [[tables.format_value(value) for value in row] for row in frame.head(_MOST_ROWS).itertuples(index=False)]
     names = [str(name) for name in frame.columns]
     numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
     leading = [name in _LEADING for name in names]
     heads = [name.replace(".", "\n") for name in names]
-    columns = [[head, *(row[at] for row in texts)] for at, head in enumerate(heads)]
+    columns = [[head, *(row[column] for row in texts)] for column, head in enumerate(heads)]
     words, widths = _widths(columns, str.split), _widths(columns, str.splitlines)
     if brief:
         roomy = 2 * sum(width for width, leads in zip(widths, leading, strict=True) if leads) <= console.width
@@ -75,7 +72,7 @@ def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False) -> 
         )  # fmt: skip
         for column in part:
             table.add_column(
-                Text(_folded(heads[column], widths[column])), justify="right" if numeric[column] else "left",
+                Text(_wrap(heads[column], widths[column])), justify="right" if numeric[column] else "left",
                 no_wrap=numeric[column], overflow="fold", max_width=widths[column],
             )  # fmt: skip
         for row in texts:
@@ -83,34 +80,34 @@ def show_table(frame: pd.DataFrame, title: str = "", *, brief: bool = False) -> 
         console.print(table)
     if len(frame) > _MOST_ROWS:
         say(f"... and {len(frame) - _MOST_ROWS} more rows; use --format csv for all of them")
-    return [" ".join(name.split()) for at, name in enumerate(names) if not any(at in part for part in parts)]
+    return [" ".join(name.split()) for column, name in enumerate(names) if not any(column in part for part in parts)]
 
 
 def _widths(columns: list[list[str]], parts: Callable[[str], list[str]]) -> list[int]:
-    """Of each column of a head and texts: the longest part of the texts, or word of the head."""
+    """Return the width of each column of a head and texts: its longest part of a text, or word of the head."""
     return [
         min(_FOLDED, max(len(part) for part in (*head.split(), *(part for text in texts for part in parts(text)), " ")))
         for head, *texts in columns
     ]
 
 
-def _folded(head: str, width: int) -> str:
+def _wrap(head: str, width: int) -> str:
     return "\n".join(textwrap.fill(line, width) for line in head.split("\n"))
 
 
 def _parts(widths: list[int], leading: list[bool], screen: int, brief: bool) -> list[list[int]]:
-    """Columns of each part: the leading ones in every part, the others in order, as many as fit.
+    """Return the columns of each part: the leading ones in every part, the others in order, as many as fit.
 
-    brief: one part, without those that do not fit.
+    brief: return one part, without the columns that do not fit.
     """
-    first = [column for column, leads in enumerate(leading) if leads]
-    parts = [list(first)]
-    left = room = screen + _BETWEEN - sum(widths[column] + _BETWEEN for column in first)
+    repeated = [column for column, leads in enumerate(leading) if leads]
+    parts = [list(repeated)]
+    left = room = screen + _BETWEEN - sum(widths[column] + _BETWEEN for column in repeated)
     for column in (column for column, leads in enumerate(leading) if not leads):
-        if widths[column] + _BETWEEN > left and len(parts[-1]) > len(first):
+        if widths[column] + _BETWEEN > left and len(parts[-1]) > len(repeated):
             if brief:
                 continue
-            parts.append(list(first))
+            parts.append(list(repeated))
             left = room
         parts[-1].append(column)
         left -= widths[column] + _BETWEEN

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from codecbench.cli.completion import codec_names
+from codecbench.cli import examples
+from codecbench.cli.parameters import codec_names
 from codecbench.cli.rank import everything_option
+from codecbench.cli.run import run_and_report
+from codecbench.core.engine.planning import matrix as matrix_file
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.storage import atomic
+from codecbench.core.engine.text import counted
+from codecbench.trial import trial
 
 if TYPE_CHECKING:
     from codecbench.trial.trial_matrix import TrialMatrix
@@ -61,16 +68,13 @@ def try_(
     in the run folder, to edit and run again.
     """
     click.echo(f"looking at {path} ...", err=True)
-    made = _made(path, codecs, aim, minutes, fov, set_)
-    from codecbench.core.engine.text import counted
+    made = _fit_matrix(path, codecs, aim, minutes, fov, set_)
 
     work = f"{counted(made.settings, 'setting')} on {counted(made.frames, 'frame')}"
     click.echo(f"{work}: about {made.minutes} min{', some of it to compile kernels, once' if made.compiles else ''}")
-    from codecbench.cli.run import run_and_report
-    from codecbench.core.engine.planning.matrix import matrix_from
 
     show = _on_desktop() if show is None else show
-    matrix = matrix_from(made.text)
+    matrix = matrix_file.matrix_from(made.text)
     run_and_report(matrix, out, workers=workers, show=show, minutes=made.most_minutes, everything=everything)
 
 
@@ -91,20 +95,21 @@ def init(
     force: bool,
 ) -> None:
     """Write a matrix with comments, to edit: one that suits a recording, or a small one to begin with."""
-    from codecbench.core.engine.storage.atomic import write_file
-    from codecbench.trial.example_files import example
-
-    text = example("first") if path is None else _made(path, codecs, aim, minutes, fov, set_, with_notes=True).text
+    text = (
+        examples.example("first")
+        if path is None
+        else _fit_matrix(path, codecs, aim, minutes, fov, set_, with_notes=True).text
+    )
     if str(out) == "-":
         click.echo(text, nl=False)
         return
     if out.exists() and not force:
         raise click.UsageError(f"{out} is there already; give another --out, or --force to write over it")
-    write_file(out, text.encode())
+    atomic.write_file(out, text.encode())
     click.echo(f"{out}; now: codecbench run {out}")
 
 
-def _made(
+def _fit_matrix(
     path: Path,
     codecs: tuple[str, ...],
     aim: Any,
@@ -114,20 +119,17 @@ def _made(
     *,
     with_notes: bool = False,
 ) -> TrialMatrix:
-    """The matrix for the recording at `path`; what it holds and what is chosen is told as soon as it is known.
+    """Return the matrix for the recording at `path`; print the recording and the choices as soon as they are known.
 
-    with_notes: also what its dataset says of it, which else the run does.
+    with_notes: print the notes of its dataset too, which the run prints otherwise.
     """
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.trial.trial import added_params, fitted, looked_at
-
-    recording = looked_at(path, fov, added_params(set_))
+    recording = trial.open_recording(path, fov, trial.parse_params(set_))
     for line in (str(recording), *(recording.notes if with_notes else ()), *recording.assumed):
         click.echo(line, err=True)
-    made = fitted(installed(), recording, codecs, aim, minutes)
-    for line in made.choices:
+    fitted = trial.fit_matrix(registry.installed(), recording, codecs, aim, minutes)
+    for line in fitted.choices:
         click.echo(line, err=True)
-    return made
+    return fitted
 
 
 def _on_desktop() -> bool:

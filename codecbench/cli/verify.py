@@ -13,8 +13,9 @@ from typing import Any
 
 import click
 
-from codecbench.cli.completion import codec_names
-from codecbench.cli.exit_status import ExitStatus
+from codecbench import __version__
+from codecbench.cli.messages import ExitStatus
+from codecbench.cli.parameters import codec_names
 from codecbench.core.conformance.corpus import EntryResult, read_manifest, write_bitstreams
 from codecbench.core.conformance.harness import Check
 from codecbench.core.conformance.settings import setting_from_text, setting_label
@@ -68,22 +69,22 @@ def verify(
         if check_in is not None:
             for entry in read_manifest(check_in):
                 if not codecs or entry.codec in codecs:
-                    report.of_entry(examiner.entry_result(check_in, entry))
+                    report.report_entry(examiner.entry_result(check_in, entry))
         else:
             subjects = _subjects(codecs, settings, examiner, report)
             if write_to is not None:
-                report.of_corpus(write_to, _of_pictures([subject for _, subject in subjects], report), examiner)
+                report.report_corpus(write_to, _image_subjects([subject for _, subject in subjects], report), examiner)
             else:
                 for plugin, subject in subjects:
                     checks = [check for check in checks_of(subject.shape) if not only or check.name in only]
-                    report.of_subject(plugin, subject, checks, examiner)
+                    report.report_subject(plugin, subject, checks, examiner)
     report.finish(json_path)
     is_well = report.counts["passed"] and not report.counts["failed"]
     context.exit(ExitStatus.SUCCESS if is_well else ExitStatus.FOUND)
 
 
 def _plugins(codecs: tuple[str, ...]) -> list[Plugin]:
-    """The codecs named, or all. Raises PluginError for an unknown name."""
+    """Return the named codecs, or all. Raises PluginError for an unknown name."""
     registry = installed()
     return [registry.find("codec", name) for name in codecs] or registry.plugins("codec")
 
@@ -91,41 +92,41 @@ def _plugins(codecs: tuple[str, ...]) -> list[Plugin]:
 def _subjects(
     codecs: tuple[str, ...], settings: tuple[str, ...], examiner: Examiner, report: _Report
 ) -> Iterator[tuple[Plugin, Subject]]:
-    """Every codec at every setting; one that is not available is reported, and fails where it was named."""
+    """Yield every codec at every setting. Reports unavailable codecs, as failed if they were named."""
     for plugin in _plugins(codecs):
-        found = examiner.subjects(plugin.spec.name, [setting_from_text(text) for text in settings])
-        if not isinstance(found, Unexamined):
-            yield from ((plugin, subject) for subject in found)
-        elif found.kind == "valid" and settings:
-            raise click.UsageError(f"--settings of {plugin.spec.name}: {found.reason}")
+        subjects = examiner.subjects(plugin.spec.name, [setting_from_text(text) for text in settings])
+        if not isinstance(subjects, Unexamined):
+            yield from ((plugin, subject) for subject in subjects)
+        elif subjects.kind == "valid" and settings:
+            raise click.UsageError(f"--settings of {plugin.spec.name}: {subjects.reason}")
         else:
-            is_absent = found.kind == "available" and not codecs
-            report.unchecked(plugin.spec.name, "skipped" if is_absent else "failed", found.reason)
+            is_absent = subjects.kind == "available" and not codecs
+            report.report_unchecked(plugin.spec.name, "skipped" if is_absent else "failed", subjects.reason)
 
 
-def _of_pictures(subjects: list[Subject], report: _Report) -> list[Subject]:
-    """Those that go into a corpus, which holds single pictures; of the others is said that they do not."""
+def _image_subjects(subjects: list[Subject], report: _Report) -> list[Subject]:
+    """Return the subjects that a corpus can contain, codecs of single images; reports the others as skipped."""
     for codec in dict.fromkeys(subject.codec for subject in subjects if subject.shape != "pictures"):
-        report.unchecked(codec, "skipped", "a corpus holds single pictures, and this codec codes sequences")
+        report.report_unchecked(codec, "skipped", "a corpus holds single pictures, and this codec codes sequences")
     return [subject for subject in subjects if subject.shape == "pictures"]
 
 
 class _Report:
-    """Lines for people while results come in, and the same results for programs at the end."""
+    """Prints results as they come in, and writes them as JSON at the end."""
 
     def __init__(self, to_stderr: bool) -> None:
         self.counts: Counter[str] = Counter(passed=0, failed=0, skipped=0)
         self._to_stderr = to_stderr
         self._content: dict[str, list[Any]] = {"settings": [], "unchecked": [], "corpus": []}
 
-    def of_subject(self, plugin: Plugin, subject: Subject, checks: list[Check], examiner: Examiner) -> None:
+    def report_subject(self, plugin: Plugin, subject: Subject, checks: list[Check], examiner: Examiner) -> None:
         """Run the checks on one setting."""
         self._say(f"{setting_label(subject.codec, subject.setting)}  (version {subject.version})", bold=True)
         results: list[CheckResult] = []
         for check in checks:
-            found = list(examiner.results(subject, check))
-            self._line(check, found)
-            results += found
+            check_results = list(examiner.results(subject, check))
+            self._line(check, check_results)
+            results += check_results
         self._content["settings"].append(
             {
                 "codec": subject.codec,
@@ -154,10 +155,8 @@ class _Report:
             if result.status == "failed":
                 self._say(f"        {result.layout}: {result.reason}")
 
-    def of_corpus(self, folder: Path, subjects: list[Subject], examiner: Examiner) -> None:
-        """Write a corpus of the settings; a codec that fails in it ends that, and is reported."""
-        from codecbench import __version__
-
+    def report_corpus(self, folder: Path, subjects: list[Subject], examiner: Examiner) -> None:
+        """Write a corpus of the settings. A codec that fails ends this and is reported."""
         try:
             makers = [partial(examiner.coded_pictures, subject) for subject in subjects]
             entries = write_bitstreams(folder, makers, f"codecbench {__version__}")
@@ -168,8 +167,8 @@ class _Report:
         self.counts["passed"] += len(entries)
         self._say(f"{folder}: {len(entries)} bitstreams of {len(subjects)} settings")
 
-    def of_entry(self, result: EntryResult) -> None:
-        """Report a bitstream of a corpus; one that passed without remark is only counted."""
+    def report_entry(self, result: EntryResult) -> None:
+        """Report a bitstream of a corpus. One that passed without a note is only counted."""
         entry = result.entry
         self._content["corpus"].append(asdict(result))
         if result.status == "passed" and not result.note:
@@ -178,18 +177,17 @@ class _Report:
         self._mark(result.status, f"{entry.file}  {setting_label(entry.codec, entry.params)} {entry.shape}")
         self._say(f"        {result.reason or result.note}")
 
-    def unchecked(self, codec: str, status: str, reason: str) -> None:
+    def report_unchecked(self, codec: str, status: str, reason: str) -> None:
         """Report a codec that cannot be checked at all."""
         self._content["unchecked"].append({"codec": codec, "status": status, "reason": reason})
         self._say(codec, bold=True)
         self._mark(status, reason)
 
     def finish(self, json_path: Path | None) -> None:
-        """Say the totals, and write everything as JSON."""
+        """Print the totals, and write everything as JSON."""
         self._say(", ".join(f"{self.counts[status]} {status}" for status in _MARKS), bold=True)
         if json_path is None:
             return
-        from codecbench import __version__
 
         content = {
             "codecbench": __version__,

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from codecbench.cli.exit_status import ExitStatus
+from codecbench.cli import display
+from codecbench.cli.messages import ExitStatus
+from codecbench.core.engine.planning import matrix as matrix_file
+from codecbench.core.engine.planning import plan as planning
+from codecbench.core.engine.plugins import registry
+from codecbench.core.engine.running import record_kernels, work
+from codecbench.core.engine.running import warm_up as kernel_warm_up
 
 if TYPE_CHECKING:
     from codecbench.core.engine.running.warm_up import WarmUp
@@ -33,33 +39,23 @@ def warm_up(matrices: tuple[Path, ...], workers: int | None, out: Path | None, p
     For container images, continuous integration and other machines; a run does the same at its beginning. With
     --record, do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
     """
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.running.warm_up import all_kernels, kernels_to_compile
-
     out = out and out.absolute()
     if packages:
         _record(matrices, packages)
     elif not matrices:
-        _compile(all_kernels(installed(), out), workers)
+        _compile(kernel_warm_up.all_kernels(registry.installed(), out), workers)
     else:
-        from codecbench.core.engine.planning.matrix import read_matrix
-        from codecbench.core.engine.planning.plan import make_sampled_plan
-
-        plans = [make_sampled_plan(read_matrix(matrix)) for matrix in matrices]
+        plans = [planning.make_sampled_plan(matrix_file.read_matrix(matrix)) for matrix in matrices]
         cells = [cell for plan in plans for cell in plan.cells if cell.unsupported is None]
-        _compile(kernels_to_compile(cells, installed(), out), workers)
+        _compile(kernel_warm_up.kernels_to_compile(cells, registry.installed(), out), workers)
 
 
 def _compile(wanted: WarmUp, workers: int | None) -> None:
-    from codecbench.cli.screen import Screen
-    from codecbench.core.engine.plugins.registry import installed
-    from codecbench.core.engine.running.work import prepare_worker
-
     started = time.monotonic()
-    executor = installed().create("executor", "local", {})
-    console = Screen(stderr=True)
+    executor = registry.installed().create("executor", "local", {})
+    console = display.Screen(stderr=True)
     try:
-        executor.start(max(1, min(workers or os.cpu_count() or 1, len(wanted))), prepare_worker)
+        executor.start(max(1, min(workers or os.cpu_count() or 1, len(wanted))), work.prepare_worker)
         with console.status("") as status:
             while wanted:
                 while (task := wanted.take()) is not None:
@@ -77,9 +73,7 @@ def _compile(wanted: WarmUp, workers: int | None) -> None:
 
 
 def _record(matrices: tuple[Path, ...], packages: tuple[str, ...]) -> None:
-    from codecbench.core.engine.running.record_kernels import record_kernels
-
     if not matrices:
         raise click.UsageError("--record needs a MATRIX whose work calls the kernels")
-    for path in record_kernels(matrices, packages):
+    for path in record_kernels.record_kernels(matrices, packages):
         click.echo(path)

@@ -1,4 +1,4 @@
-"""Where the paper contradicts itself or practice, each with what we measured. Nothing here is tuned to agree."""
+"""Contradictions in the paper, each beside our measurements. Nothing here is tuned to agree."""
 
 from __future__ import annotations
 
@@ -10,23 +10,22 @@ import numpy as np
 from codecbench.core.analysis.ranking import rankings_on
 from codecbench.core.report.formatting import less_rate
 from codecbench.core.report.tables import escape
-from codecbench.paper import facts
-from codecbench.paper.measured import Measured
+from codecbench.paper.measured import Measured, paper_table
 
 
 def contradictions(runs: list[Measured]) -> Iterator[tuple[str, str, list[str]]]:
-    """Title, what the paper says against what its numbers imply, and our measurements, one claim at a time.
+    """Yield for each claim its title, what the paper says and what its numbers imply, and our measurements.
 
-    Trajectories are those of all runs, everything else is of the first.
+    Trajectories are those of all runs, all else is of the first.
     """
     for title, statement, measure in _CLAIMS:
-        asked = runs if measure is _success else runs[:1]
-        lines = dict.fromkeys(line for measured in asked for line in measure(measured))
+        measured_runs = runs if measure is _success else runs[:1]
+        lines = dict.fromkeys(line for measured in measured_runs for line in measure(measured))
         yield title, statement, list(lines) or ["nothing of it in these runs"]
 
 
 def _dct(measured: Measured) -> list[str]:
-    found = []
+    lines = []
     for sequence in measured.sequences[:1]:
         for codec in ("jpeg_qf", "multilevel"):
             setting = measured.setting(codec, qf=5)
@@ -35,8 +34,8 @@ def _dct(measured: Measured) -> list[str]:
                 for name in ("mults", "adds")
             )
             if not np.isnan(mults):
-                found.append(f"{codec} counts {mults:,.0f} multiplications and {adds:,.0f} additions in its DCT")
-    return found
+                lines.append(f"{codec} counts {mults:,.0f} multiplications and {adds:,.0f} additions in its DCT")
+    return lines
 
 
 def _slightly(measured: Measured) -> list[str]:
@@ -49,51 +48,51 @@ def _slightly(measured: Measured) -> list[str]:
     if any(np.isnan(value) for value in totals.values()):
         return []
     ratios = [totals["multilevel", way] / totals["jpeg_qf", way] for way in ("encode", "decode")]
-    counted = f"Counted in the kernels at QF 5 on {escape(sequence)}"
-    return [f"{counted}: multi-level / JPEG is {ratios[0]:.2f} encoding, {ratios[1]:.2f} decoding"]
+    origin = f"Counted in the kernels at QF 5 on {escape(sequence)}"
+    return [f"{origin}: multi-level / JPEG is {ratios[0]:.2f} encoding, {ratios[1]:.2f} decoding"]
 
 
 def _search(measured: Measured) -> list[str]:
-    found = []
+    lines = []
     for sequence in measured.sequences[:1]:
         for qf in (5.0, 100.0):
             for search in ("sequential", "pruned", "greedy"):
                 setting = measured.setting("multilevel", qf=qf, decoding="search", search=search)
                 tests = measured.value(sequence, setting, f"operations.source_comparisons.decode/{search}_search.mean")
                 if not np.isnan(tests):
-                    found.append(f"QF {qf:g} {search}: {tests:,.0f} comparisons a frame")
-    return found
+                    lines.append(f"QF {qf:g} {search}: {tests:,.0f} comparisons a frame")
+    return lines
 
 
 def _header(measured: Measured) -> list[str]:
-    found = []
+    lines = []
     for qf in (5.0, 20.0, 100.0):
         with_header = measured.setting("multilevel", qf=qf, levels=1, decoding="header")
         without = measured.setting("multilevel", qf=qf, levels=1, decoding="search")
         for sequence in measured.sequences:
             sizes = [measured.size_kib(sequence, setting) for setting in (with_header, without)]
             if not np.isnan(sizes).any():
-                found.append(
+                lines.append(
                     f"QF {qf:g} on {escape(sequence)}: {sizes[0]:.1f} KiB with the table of tuples, "
                     f"{sizes[1]:.1f} KiB without"
                 )
-    return found
+    return lines
 
 
 def _levels(measured: Measured) -> list[str]:
-    found = []
+    lines = []
     for qf in (5.0, 20.0, 100.0):
         single, double = (measured.setting("multilevel", qf=qf, levels=levels, decoding="header") for levels in (1, 2))
         for sequence in measured.sequences:
             sizes = [measured.size_kib(sequence, setting) for setting in (single, double)]
             if not np.isnan(sizes).any():
                 change = 100 * (sizes[1] / sizes[0] - 1)
-                found.append(f"QF {qf:g} on {escape(sequence)}: two levels change the size by {change:+.1f} %")
-    return found
+                lines.append(f"QF {qf:g} on {escape(sequence)}: two levels change the size by {change:+.1f} %")
+    return lines
 
 
 def _ssim(measured: Measured) -> list[str]:
-    found = []
+    lines = []
     for sequence in measured.sequences:
         for qf in (5.0, 10.0, 15.0, 20.0):
             ours = [
@@ -101,12 +100,12 @@ def _ssim(measured: Measured) -> list[str]:
                 for codec in ("jpeg_qf", "multilevel")
             ]
             if not np.isnan(ours).any():
-                found.append(f"QF {qf:g} on {escape(sequence)}: JPEG {ours[0]:.4f}, multi-level {ours[1]:.4f}")
-    return found
+                lines.append(f"QF {qf:g} on {escape(sequence)}: JPEG {ours[0]:.4f}, multi-level {ours[1]:.4f}")
+    return lines
 
 
 def _success(measured: Measured) -> list[str]:
-    found = []
+    lines = []
     raw = measured.setting("raw")
     for sequence in measured.sequences:
         for qf in (75.0, 100.0):
@@ -114,31 +113,31 @@ def _success(measured: Measured) -> list[str]:
             for column in measured.run.wide.columns:
                 evaluator, _, rest = str(column).partition(".")
                 value = measured.value(sequence, setting, str(column)) if rest == "success.mean" else np.nan
-                # Where raw frames fail too, as on a handful of frames, the codec is not to blame.
+                # If raw frames fail too, as on a handful of frames, the codec is not the cause.
                 if np.isnan(value) or measured.value(sequence, raw, str(column)) == 0.0:
                     continue
                 loops = measured.value(sequence, setting, f"{evaluator}.loops_closed.median")
                 where = f"{escape(sequence)}{evaluator.removeprefix('trajectory')}"
-                found.append(
+                lines.append(
                     f"{where}: {100 * value:.0f} % of runs at QF {qf:g} succeed, loops closed {loops:.0f} (median)"
                 )
-    return found
+    return lines
 
 
 def _rounding(measured: Measured) -> list[str]:
-    """Recomputed from the paper's own sizes; nothing of ours enters."""
-    slips = []
+    """Recompute compression ratios from the paper's own sizes."""
+    errors = []
     for name, label in (("table1_jpeg", "Table 1"), ("table2_jpeg2000", "Table 2"), ("table3_multilevel", "Table 3")):
-        for row in facts.table(name).to_dict("records"):
+        for row in paper_table(name).to_dict("records"):
             for prefix in ("l1_", "l2_") if name.startswith("table3") else ("",):
                 stated = float(row[f"{prefix}cr_percent"])
                 implied = 100 * (1 - row[f"{prefix}size_kb"] / row["original_kb"])
                 if abs(implied - stated) > 0.5 + 1e-9:
                     which = row.get("qf", row.get("cr_percent"))
-                    slips.append(
+                    errors.append(
                         f"{label} frame {row['frame']:.0f} at {which:g}: {stated:g} % stated, {implied:.1f} % implied"
                     )
-    return slips
+    return errors
 
 
 def _real_jpeg(measured: Measured) -> list[str]:
@@ -146,11 +145,11 @@ def _real_jpeg(measured: Measured) -> list[str]:
     if column is None:
         return []
     return [
-        f"PSNR of gray, {escape(ranked.curve)} on {escape(ranking.sequence)}: {less_rate(found, escape(anchor))}"
+        f"PSNR of gray, {escape(ranked.curve)} on {escape(ranking.sequence)}: {less_rate(evidence, escape(anchor))}"
         for ranking in rankings_on(measured.run, column, [[sequence] for sequence in measured.sequences])
         for anchor in ranking.anchors
         for ranked in ranking.ranked
-        if ranked.curve.startswith("multilevel") and (found := ranking.evidence(ranked.curve, anchor))
+        if ranked.curve.startswith("multilevel") and (evidence := ranking.evidence(ranked.curve, anchor))
     ]
 
 

@@ -1,8 +1,7 @@
-"""What a codec did before: sizes, PSNRs, operation counts and relative times, kept in a file under version control.
+"""A codec's baseline: sizes, PSNRs, operation counts and relative times in a file under version control.
 
-Sizes, PSNRs and counts are exact on any machine. Times are in units of a yardstick, a fixed piece of work whose turns
-alternate with the codec's, so that a machine that is busier, or clocked lower, slows both; they hold for one model of
-processor.
+Sizes, PSNRs and counts are exact on any machine. Times are in units of a yardstick, a fixed piece of work that
+alternates with the codec, so that load or a lower clock slows both. They are valid for one model of processor.
 """
 
 from __future__ import annotations
@@ -18,21 +17,23 @@ from typing import Any, Final, overload
 import numpy as np
 
 from codecbench.core.engine.storage.atomic import write_file
+from codecbench.core.engine.storage.environment import describe_machine
+from codecbench.plugins.evaluators.timed_calls import time_repeatedly, yardstick
 
 _EXACT: Final = ("version", "size_bytes", "psnr_db", "encode_operations", "decode_operations")
 _ROUNDING_DB: Final = 1e-9
-"""How much two computations of one PSNR may differ."""
+"""How much two computations of the same PSNR may differ."""
 _LEAST_PAIRS: Final = 40
 _MOST_S: Final = 8.0
 _SAME_SPEED: Final = 0.1
-"""How far the yardstick may be from its speed in the baseline for a pair to count: beyond it other processes share the
-core's caches and units in another way, and that slows different work differently."""
+"""How far the yardstick may be from its time in the baseline for a pair to count. Beyond it, other processes share the
+core's caches and units differently, which slows different work by different factors."""
 _ATTEMPTS: Final = 3
-"""Series of pairs: a slowdown must show in each of them."""
+"""Number of series of pairs; a slowdown must show in each."""
 
 
 class Baseline:
-    """The file at `path`; what it does not have yet is added by `save`. Without a path nothing is compared."""
+    """The baseline file at `path`. `save` adds what it lacks. Without a path nothing is compared."""
 
     def __init__(self, path: Path | None, slower_percent: float, processor: str) -> None:
         self._path = path
@@ -44,7 +45,7 @@ class Baseline:
             self._known = json.loads(path.read_text())
 
     def complaint(self, facts: dict[str, Any]) -> str:
-        """How the facts of a setting are worse than before: larger, of less PSNR, more operations; or nothing."""
+        """Describe how a setting is worse than its baseline: larger, less PSNR, more operations. Empty if it is not."""
         name, before = facts["codec"], self._known.get(facts["codec"])
         if before is None:
             self._added.setdefault(name, {}).update({key: facts[key] for key in _EXACT if key in facts})
@@ -62,10 +63,10 @@ class Baseline:
         return ""
 
     def time_complaint(self, name: str, direction: str, call: Callable[[], object]) -> str:
-        """How much slower a call is than before, where every attempt shows it; or nothing.
+        """Describe how much slower a call is than its baseline, if every attempt shows it. Empty if not.
 
-        Warns where nothing can be said: the baseline is of another model of processor, or the machine is busier, or
-        less busy, than it was then.
+        Warns if no comparison is possible: the baseline is of another model of processor, or the machine's load differs
+        from that of the baseline.
         """
         key = f"{direction}_time"
         before = self._known.get(name)
@@ -75,18 +76,18 @@ class Baseline:
             trials = sorted((relative_time(call) for _ in range(_ATTEMPTS)), key=lambda trial: trial.yardsticks)
             self._added.setdefault(name, {})[key] = {"processor": self._processor, **vars(trials[_ATTEMPTS // 2])}
             return ""
-        then = before[key]
-        if then["processor"] != self._processor:
-            warnings.warn(f"{name}: times of the baseline are of {then['processor']}", stacklevel=2)
+        baseline = before[key]
+        if baseline["processor"] != self._processor:
+            warnings.warn(f"{name}: times of the baseline are of {baseline['processor']}", stacklevel=2)
             return ""
         least = np.inf
         for _ in range(_ATTEMPTS):
-            now = relative_time(call, then["yardstick_ms"])
+            now = relative_time(call, baseline["yardstick_ms"])
             if now is None:
                 warnings.warn(f"{name}: cannot tell whether {direction} is slower, the machine is not as "
                               "busy as when the baseline was made", stacklevel=2)  # fmt: skip
                 return ""
-            least = min(least, now.yardsticks / then["yardsticks"])
+            least = min(least, now.yardsticks / baseline["yardsticks"])
             if least <= 1.0 + self._slower_percent / 100.0:
                 return ""
         slower = 100.0 * (least - 1.0)
@@ -95,14 +96,19 @@ class Baseline:
         )
 
     def save(self) -> None:
-        """Write what was added. Raises OSError, and then the file is as it was."""
+        """Write what was added. Raises OSError and leaves the file as it was if that fails."""
         if self._path is not None and self._added:
             write_file(self._path, (json.dumps({**self._known, **self._added}, indent=2) + "\n").encode())
 
 
+def open_baseline(path: Path | None, slower_percent: float) -> Baseline:
+    """Return the baseline at `path` for the processor of this machine."""
+    return Baseline(path, slower_percent, str(describe_machine()["cpu"]))
+
+
 @dataclass(frozen=True)
 class RelativeTime:
-    """Processor time of a call in yardsticks, and of a yardstick in milliseconds: medians."""
+    """Median processor time of a call in yardsticks, and of a yardstick in milliseconds."""
 
     yardsticks: float
     yardstick_ms: float
@@ -117,10 +123,8 @@ def relative_time(call: Callable[[], object], yardstick_ms: float) -> RelativeTi
 def relative_time(call: Callable[[], object], yardstick_ms: float | None = None) -> RelativeTime | None:
     """Time a call and the yardstick in turn.
 
-    With `yardstick_ms` only pairs count whose yardstick takes about that long; None where there are too few of them.
+    With `yardstick_ms`, only pairs count whose yardstick takes about that long. Returns None if too few do.
     """
-    from codecbench.plugins.evaluators.timed_calls import time_repeatedly, yardstick
-
     call()
     ratios: list[float] = []
     beside: list[float] = []
@@ -129,11 +133,11 @@ def relative_time(call: Callable[[], object], yardstick_ms: float | None = None)
     while len(ratios) < _LEAST_PAIRS:
         if yardstick_ms is not None and time.monotonic() > end_s:
             return None
-        taken = time_repeatedly(call, before)[1].cpu_ms
+        call_ms = time_repeatedly(call, before)[1].cpu_ms
         after = yardstick().cpu_ms
         mean = (before + after) / 2.0
         if yardstick_ms is None or abs(mean - yardstick_ms) <= _SAME_SPEED * yardstick_ms:
-            ratios.append(taken / mean)
+            ratios.append(call_ms / mean)
             beside.append(mean)
         before = after
     return RelativeTime(float(np.median(ratios)), float(np.median(beside)))

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from codecbench.pytesting.baseline import Baseline
-from codecbench.pytesting.plugin import CodecCase
+from codecbench.pytesting.cases import CodecCase
 
 
 def test_encode(codec_under_test: CodecCase, benchmark: Any, codec_baseline: Baseline) -> None:

@@ -14,59 +14,20 @@ A test of your own asks for the fixture `codec_under_test` and is run once for e
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
+from codecbench.pytesting import ALL
+
 if TYPE_CHECKING:
-    from codecbench.core.contracts.codec import Codec
-    from codecbench.core.contracts.image import Image
     from codecbench.pytesting.baseline import Baseline
+    from codecbench.pytesting.cases import CodecCase
 
-ALL = "*"
 _CASE_FIXTURE = "codec_under_test"
-
-
-@dataclass(frozen=True)
-class CodecCase:
-    """One codec setting beside the picture that it is benchmarked on."""
-
-    name: str
-    codec: Codec[Any]
-    image: Image
-
-    @cached_property
-    def prepared(self) -> Codec[Any]:
-        """The codec with what it searches for on this picture already found."""
-        return self.codec.prepared(self.image)
-
-    def facts(self) -> dict[str, Any]:
-        """What is recorded beside the times: version, size, PSNR, and operation counts where the codec counts them."""
-        from codecbench.core.counting.trace import CountingTrace
-        from codecbench.plugins.evaluators.fidelity import psnr_db
-
-        bitstream = self.prepared.encode(self.image)
-        facts: dict[str, Any] = {
-            "codec": self.name,
-            "version": self.codec.version,
-            "size_bytes": len(bitstream),
-            "psnr_db": psnr_db(self.image, self.codec.decode(bitstream)),
-        }
-        if self.codec.capabilities.counts_operations:
-            for direction, work in (("encode", lambda trace: self.prepared.encode(self.image, trace=trace)),
-                                    ("decode", lambda trace: self.codec.decode(bitstream, trace=trace))):  # fmt: skip
-                trace = CountingTrace()
-                work(trace)
-                facts[f"{direction}_operations"] = int(sum(counts.total for counts in trace.counts.values()))
-        return facts
-
-
-_CASES = pytest.StashKey[list[CodecCase]]()
+_CASES = pytest.StashKey["list[CodecCase]"]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -109,13 +70,11 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
-    """The file of `--codecbench-baseline`, with what it lacks added at the end of the session."""
-    from codecbench.core.engine.storage.environment import describe_machine
-    from codecbench.pytesting.baseline import Baseline
+    """The file of `--codecbench-baseline`; at the end of the session, what it lacks is added."""
+    from codecbench.pytesting.baseline import open_baseline  # this plugin is loaded by every pytest run
 
     option = request.config.getoption("--codecbench-baseline")
-    processor = str(describe_machine()["cpu"])
-    baseline = Baseline(Path(option) if option else None, request.config.getoption("--codecbench-slower"), processor)
+    baseline = open_baseline(Path(option) if option else None, request.config.getoption("--codecbench-slower"))
     yield baseline
     try:
         baseline.save()
@@ -124,48 +83,7 @@ def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
 
 
 def _cases(text: str) -> list[CodecCase]:
-    """The cases of one `--codecbench` value. Raises pytest.UsageError for what cannot be understood."""
-    from pydantic import ValidationError
+    """Return the cases of one `--codecbench` value. Raises pytest.UsageError if it cannot be understood."""
+    from codecbench.pytesting.cases import codec_cases  # this plugin is loaded by every pytest run
 
-    from codecbench.core.conformance.settings import setting_from_text, setting_label
-    from codecbench.core.contracts.errors import CodecbenchError, Unsupported
-    from codecbench.core.engine.plugins.registry import installed, loads
-
-    registry = installed()
-    name, _, rest = text.strip().partition(" ")
-    cases = []
-    for plugin in registry.plugins("codec") if name == ALL else [None]:
-        if plugin is not None and plugin.missing is not None:
-            continue
-        chosen = plugin.spec.name if plugin is not None else name
-        try:
-            registry.ask(loads, "codec", chosen, of=[("codec", chosen)])  # what ends its process ends another
-            cls = registry.load("codec", chosen)
-            if not cls.stateless:
-                raise Unsupported(f"{chosen} codes sequences; these benchmarks are of single pictures")
-            for example in [setting_from_text(rest)] if rest else cls.examples:
-                codec = cls(cls.params_type.model_validate(example))
-                cases.append(CodecCase(setting_label(chosen, example), codec, _picture(cls)))
-        except Unsupported as error:
-            if plugin is None:
-                raise pytest.UsageError(f"--codecbench {text}: {error}") from None
-        except (CodecbenchError, ValidationError) as error:
-            if plugin is not None and plugin.hosted:
-                warnings.warn(pytest.PytestWarning(f"--codecbench leaves out {error}"), stacklevel=1)
-                continue
-            raise pytest.UsageError(f"--codecbench {text}: {error}") from None
-    return cases
-
-
-def _picture(cls: type[Codec[Any]]) -> Image:
-    """A 640x480 photograph, in colour where the codec takes colour."""
-    import cv2
-    import numpy as np
-    import skimage.data
-
-    from codecbench.core.contracts.image import gray_from_image
-
-    photograph = skimage.data.astronaut()  # type: ignore[no-untyped-call]
-    image = np.asarray(cv2.resize(photograph, (640, 640), interpolation=cv2.INTER_CUBIC), np.uint8)[80:560]
-    image = np.ascontiguousarray(image)
-    return image if 3 in cls.capabilities.channels else gray_from_image(image)
+    return codec_cases(text)

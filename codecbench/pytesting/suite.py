@@ -28,21 +28,20 @@ __all__ = ["CodecSuite"]
 
 
 class CodecSuite:
-    """Inherit it and name the codec; a test `test_<check>` for each of the checks comes with it.
-
-    codec: the class to check. settings: parameters of the settings to check, the codec's `examples` where left out.
-    """
+    """Base class of a codec's tests. A subclass that names its codec gets a test `test_<check>` for each check."""
 
     codec: ClassVar[type[AnyCodec[Any]]]
+    """The class to check."""
     settings: ClassVar[Sequence[dict[str, Any]]] = ()
+    """Parameters of the settings to check; by default the codec's `examples`."""
 
     def __init_subclass__(cls) -> None:
-        """Give the class the tests of its codec's shape."""
+        """Add the tests for the codec's shape to the class."""
         super().__init_subclass__()
         codec = getattr(cls, "codec", None)
         for check in () if codec is None else checks_of(shape_of(codec)):
             if not hasattr(cls, f"test_{check.name}"):
-                setattr(cls, f"test_{check.name}", _test_of(check))
+                setattr(cls, f"test_{check.name}", _make_test(check))
 
     def pytest_generate_tests(self, metafunc: pytest.Metafunc) -> None:
         """Run each test of the class once for each setting."""
@@ -53,7 +52,7 @@ class CodecSuite:
             )
 
 
-def _test_of(check: Check) -> Callable[[CodecSuite, dict[str, Any]], None]:
+def _make_test(check: Check) -> Callable[[CodecSuite, dict[str, Any]], None]:
     def test(self: CodecSuite, setting: dict[str, Any]) -> None:
         results = run_checks(self.codec, self.codec.params_type.model_validate(setting), [check])
         failures = [f"{result.layout}: {result.reason}" for result in results if result.status == "failed"]

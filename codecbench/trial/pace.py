@@ -1,4 +1,4 @@
-"""How fast this machine is now, beside the one on which typical costs were measured; a second tells it."""
+"""The speed of this machine now, relative to the one on which typical costs were measured; takes a second."""
 
 from __future__ import annotations
 
@@ -17,23 +17,25 @@ from codecbench.plugins.evaluators.timed_calls import time_call, yardstick
 from codecbench.trial.recording import Recording
 
 _USUAL_MS: Final = 0.7
-"""What the yardstick takes where typical costs hold, with every worker at it."""
-_LONG_S: Final = 0.7
+"""Time of the yardstick on the machine of the typical costs, with all workers busy."""
+_DURATION_S: Final = 0.7
 _FRAMES: Final = 3
 
 
 @dataclass(frozen=True)
 class Pace:
-    """slowness: how many times as long as usual work takes. reading_ms: of a frame, where work takes as long as usual.
-    compiling_s: of kernels that the cache does not have, by one worker."""
+    """The speed of a machine."""
 
     slowness: float
+    """How many times as long as typical work takes."""
     reading_ms: float
+    """Time to read a frame at slowness 1."""
     compiling_s: float = 0.0
+    """Time in which one worker compiles the kernels that the cache lacks."""
 
 
-def measured_pace(registry: Registry, recording: Recording) -> Pace:
-    """The pace of this machine as busy as it is now."""
+def measure_pace(registry: Registry, recording: Recording) -> Pace:
+    """Measure the pace of this machine, as busy as it is now."""
     name = recording.dataset
     reading_ms = float(registry.ask(_reading_ms, name, recording.params, of=[("dataset", name)], times=10))
     slow = _slowness(os.cpu_count() or 1)
@@ -41,25 +43,25 @@ def measured_pace(registry: Registry, recording: Recording) -> Pace:
 
 
 def _slowness(workers: int) -> float:
-    """How many times as long as usual work takes, with all workers at it and whatever else the machine does now."""
+    """Measure how many times as long as typical work takes with all workers busy and the present load."""
 
     def calls(end_s: float) -> int:
-        done = 0
+        count = 0
         while time.perf_counter() < end_s:
             yardstick()
-            done += 1
-        return done
+            count += 1
+        return count
 
-    end_s = time.perf_counter() + _LONG_S
-    with ThreadPoolExecutor(workers) as pool:  # deflating lets other threads run
+    end_s = time.perf_counter() + _DURATION_S
+    with ThreadPoolExecutor(workers) as pool:  # deflating releases the interpreter lock
         done = sum(pool.map(calls, [end_s] * workers))
-    return _LONG_S * 1e3 * workers / max(done, 1) / _USUAL_MS
+    return _DURATION_S * 1e3 * workers / max(done, 1) / _USUAL_MS
 
 
 def _reading_ms(registry: Registry, name: str, params: dict[str, Any]) -> float:
     sequence = registry.create("dataset", name, params).open()
-    taken = []
+    times_ms = []
     for part in range(_FRAMES):
-        with suppress(DatasetError):  # who runs the matrix is told
-            taken.append(time_call(partial(sequence.read, len(sequence) * part // _FRAMES))[1].wall_ms)
-    return median(taken or [0.0])
+        with suppress(DatasetError):  # the run of the matrix reports it
+            times_ms.append(time_call(partial(sequence.read, len(sequence) * part // _FRAMES))[1].wall_ms)
+    return median(times_ms or [0.0])

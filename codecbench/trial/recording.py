@@ -1,11 +1,14 @@
-"""What a path holds: asked of every dataset that is installed."""
+"""Recognition of a recording: which installed dataset opens a path, and what it is."""
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
+
+from PIL import ExifTags, Image, UnidentifiedImageError
 
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError, ParamsError
 from codecbench.core.engine.planning.description import InvalidParams, describe
@@ -16,38 +19,41 @@ from codecbench.plugins.datasets.files import EXTENSIONS
 
 _MOST_SIZES: Final = 3
 _MOST_LEFT_OUT: Final = 20
-"""How often a recording is opened to find what of it has to be left out."""
-MOST_SAID: Final = 3
-"""What is left out and said one by one."""
+"""How often a recording is opened again with something left out."""
+MOST_LISTED: Final = 3
+"""How many left-out items are listed one by one."""
 _HEAD_BYTES: Final = 4096
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording that a dataset recognised and opened.
-
-    dataset, params: what opens it. kind: what it is, in its user's words. width, height: of its first frame in pixels;
-    sizes: where frames differ, each once. camera_from: what the camera was taken from, as far as that is known. suited:
-    parameters that suit it better than those by which it was opened. settable: all that its dataset takes. notes: what
-    its dataset says of it. assumed: what nobody said and was taken for granted, and what is wrong and left out.
-    """
+    """A recording that a dataset recognized and opened."""
 
     dataset: str
+    """Name of the dataset that opens it, with `params`."""
     kind: str
+    """What it is, in its user's words."""
     params: dict[str, Any]
     name: str
     frames: int
     channels: int
     width: int
+    """Width of the first frame in pixels, as `height`."""
     height: int
     has_camera: bool
     has_ground_truth: bool
     sizes: tuple[tuple[int, int], ...] = ()
+    """Each frame size once, if frames differ."""
     camera_from: str = ""
+    """Source of the camera's calibration, if known."""
     suited: dict[str, Any] = field(default_factory=dict)
+    """Parameters that suit the recording better than those in `params`."""
     settable: frozenset[str] = frozenset()
+    """Names of all parameters of the dataset."""
     notes: tuple[str, ...] = ()
+    """Notes of the dataset."""
     assumed: tuple[str, ...] = ()
+    """Assumptions that the user did not state, and what is wrong and left out."""
 
     def __str__(self) -> str:
         """`ROS 2 bag, topic /camera/image_raw, 1,204 frames, 640x480, colour, camera_info found, no ground truth`."""
@@ -71,26 +77,26 @@ class Recording:
         return f"pictures of {len(sizes)} sizes from {sizes[0]} to {sizes[-1]}"
 
 
-def recognised(registry: Registry, path: Path, given: dict[str, Any]) -> Recording:
-    """The recording at `path`, opened by the first dataset that knows it, catch-alls last.
+def recognize(registry: Registry, path: Path, given: dict[str, Any]) -> Recording:
+    """Open the recording at `path` with the first dataset that recognizes it, catch-alls last.
 
-    given: parameters that its user adds. What is wrong costs itself where the rest can be opened without it, which
-    `assumed` says. Raises DatasetError where nobody knows it and where it cannot be opened, and
-    ParamsError for a parameter that the dataset does not have.
+    given: parameters that the user adds. Faulty parts are left out if the rest can be opened without them; `assumed`
+    lists them. Raises DatasetError if no dataset recognizes it or it cannot be opened, and ParamsError for a parameter
+    that the dataset does not have.
     """
     if not path.exists():
         raise DatasetError(f"{path}: there is no such file or folder")
-    found = [(plugin, answer) for plugin in registry.plugins("dataset") if plugin.missing is None
-             if (answer := _answer(registry, plugin.spec.name, path)) is not None]  # fmt: skip
-    if not found:
+    matches = [(plugin, answer) for plugin in registry.plugins("dataset") if plugin.missing is None
+             if (answer := _ask_recognition(registry, plugin.spec.name, path)) is not None]  # fmt: skip
+    if not matches:
         names = ", ".join(plugin.spec.name for plugin in registry.plugins("dataset"))
         unusable = [str(plugin.missing) for plugin in registry.plugins("dataset") if plugin.missing is not None]
         hint = f"; not asked: {'; '.join(unusable)}" if unusable else ""
         raise DatasetError(
-            f"{path}: {contents(path)}, which no dataset recognises ({names}); name a folder of pictures "
+            f"{path}: {describe_contents(path)}, which no dataset recognises ({names}); name a folder of pictures "
             f"({', '.join(EXTENSIONS)}), a video, a TUM, KITTI or EuRoC folder, or a ROS bag{hint}"
         )
-    plugin, (_, params) = min(found, key=lambda pair: pair[1][0])
+    plugin, (_, params) = min(matches, key=lambda pair: pair[1][0])
     params = {**params, **given}
     name = plugin.spec.name
     _check_params(registry, name, params)
@@ -98,50 +104,50 @@ def recognised(registry: Registry, path: Path, given: dict[str, Any]) -> Recordi
     left_out: list[str] = []
     while True:
         try:
-            facts = registry.ask(opened, name, params, of=[("dataset", name)], times=10)
+            facts = registry.ask(facts_of, name, params, of=[("dataset", name)], times=10)
             break
         except DatasetError as error:
             refused = [key for key in error.without if key in given and key != "skip"]
             if not error.without or refused or len(left_out) == _MOST_LEFT_OUT:
-                said = [f"{error}{_how_to_set(str(error), settable)}", *left_out[:MOST_SAID]]
-                raise DatasetError("\n".join(said)) from error
-            params = less(params, error.without)
-            left_out.append(said_of(error))
+                lines = [f"{error}{_option_hint(str(error), settable)}", *left_out[:MOST_LISTED]]
+                raise DatasetError("\n".join(lines)) from error
+            params = params_without(params, error.without)
+            left_out.append(describe_left_out(error))
     facts |= {"notes": tuple(facts["notes"]), "sizes": tuple((width, height) for width, height in facts["sizes"])}
     kind = facts.pop("kind") or f"{name} ({clean_line(plugin.spec.summary)})"
     return Recording(name, kind, params, settable=settable, assumed=tuple(left_out), **facts)
 
 
-def less(params: dict[str, Any], without: dict[str, Any]) -> dict[str, Any]:
-    """Parameters of a dataset that also leave out what an error says."""
+def params_without(params: dict[str, Any], without: dict[str, Any]) -> dict[str, Any]:
+    """Return parameters of a dataset that also leave out what an error names."""
     skip = sorted({*params.get("skip", []), *without.get("skip", [])})
     return {**params, **without, **({"skip": skip} if skip else {})}
 
 
-def said_of(error: DatasetError) -> str:
-    """What is wrong, and by which parameters it is left out."""
+def describe_left_out(error: DatasetError) -> str:
+    """Say what is wrong, and which parameters leave it out."""
     return f"{error.what}; left out ({error.settings})"
 
 
-def unreadable(registry: Registry, name: str, params: dict[str, Any], frames: int) -> list[list[Any]]:
-    """What is wrong with those of the first frames that `skip` can leave out, and that; all of them are read."""
-    sequence, found = registry.create("dataset", name, params).open(), []
+def unreadable_frames(registry: Registry, name: str, params: dict[str, Any], frames: int) -> list[list[Any]]:
+    """Read the first frames; return the error of each that `skip` can leave out, and the parameters for that."""
+    sequence, faults = registry.create("dataset", name, params).open(), []
     for index in range(min(frames, len(sequence))):
         try:
             sequence.read(index)
         except DatasetError as error:
             if "skip" in error.without:
-                found.append([error.what, error.without])
-    return found
+                faults.append([error.what, error.without])
+    return faults
 
 
-def contents(path: Path) -> str:
-    """What a path is or holds that is no recording, such as `holds no pictures but 3 files such as a.txt`."""
+def describe_contents(path: Path) -> str:
+    """Describe a path that is no recording, such as `holds no pictures but 3 files such as a.txt`."""
     if path.suffix.lower() in EXTENSIONS:
         return "is a single picture"
     try:
         if path.is_dir():
-            return _folder_contents(sorted(path.iterdir()))
+            return _describe_folder(sorted(path.iterdir()))
         with open(path, "rb") as stream:
             head = stream.read(_HEAD_BYTES)
     except OSError as error:
@@ -151,7 +157,7 @@ def contents(path: Path) -> str:
     return "is text" if b"\0" not in head and _is_text(head) else "is a file of another kind"
 
 
-def _folder_contents(entries: list[Path]) -> str:
+def _describe_folder(entries: list[Path]) -> str:
     if not entries:
         return "is an empty folder"
     for folder in filter(Path.is_dir, entries):
@@ -170,8 +176,8 @@ def _is_text(head: bytes) -> bool:
     return True
 
 
-def opened(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
-    """What a Recording says of the sequence, as JSON types; frames but the first are not read. Raises DatasetError."""
+def facts_of(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, Any]:
+    """Return the facts of a sequence for `Recording` as JSON types. Reads the first frame only. Raises DatasetError."""
     sequence = registry.create("dataset", name, params).open()
     height, width = sequence.read(0).image.shape[:2]
     origin = sequence.origin
@@ -191,32 +197,53 @@ def opened(registry: Registry, name: str, params: dict[str, Any]) -> dict[str, A
     }
 
 
-def answered(registry: Registry, name: str, path: str) -> tuple[bool, dict[str, Any]] | None:
-    """Whether a dataset is a catch-all and how it opens what lies at `path`; None where that is not its kind."""
+def recognition(registry: Registry, name: str, path: str) -> tuple[bool, dict[str, Any]] | None:
+    """Return whether a dataset is a catch-all and the parameters by which it opens `path`; None if it cannot."""
     cls = registry.load("dataset", name)
     params = cls.recognise(Path(path))
     return None if params is None else (bool(cls.catch_all), dict(params))
 
 
-def _how_to_set(said: str, settable: frozenset[str]) -> str:
-    """How the parameters that an error names are given on the command line; empty where it names none."""
-    named = [name for name in dict.fromkeys(re.findall(r"`(\w+)[`:]", said)) if name in settable and name != "path"]
-    words = ["--fov DEGREES" if name == "fov_deg" else f"--set {name}=VALUE" for name in named]
-    return f"\nwith `codecbench try` and `init --from`: {', '.join(words)}" if words else ""
+def _option_hint(message: str, settable: frozenset[str]) -> str:
+    """Return how to give the parameters that an error names on the command line; empty if it names none."""
+    names = [name for name in dict.fromkeys(re.findall(r"`(\w+)[`:]", message)) if name in settable and name != "path"]
+    options = ["--fov DEGREES" if name == "fov_deg" else f"--set {name}=VALUE" for name in names]
+    return f"\nwith `codecbench try` and `init --from`: {', '.join(options)}" if options else ""
 
 
 def _check_params(registry: Registry, dataset: str, params: dict[str, Any]) -> None:
-    """Raise ParamsError for parameters that the dataset does not take."""
+    """Raise ParamsError for parameters that the dataset does not have."""
     try:
         describe(registry, "dataset", dataset, params)
     except InvalidParams as invalid:
         raise ParamsError(f"dataset {dataset}: {invalid.sentence}") from None
 
 
-def _answer(registry: Registry, name: str, path: Path) -> tuple[bool, dict[str, Any]] | None:
-    """As `answered`; a dataset of another distribution that fails at it does not recognise the path."""
+def _ask_recognition(registry: Registry, name: str, path: Path) -> tuple[bool, dict[str, Any]] | None:
+    """Ask for the `recognition` of a path. A dataset that fails does not recognize it."""
     try:
-        answer = registry.ask(answered, name, str(path.absolute()), of=[("dataset", name)])
+        answer = registry.ask(recognition, name, str(path.absolute()), of=[("dataset", name)])
     except (CodecbenchError, OSError):
         return None
     return None if answer is None else (bool(answer[0]), dict(answer[1]))
+
+
+_FILM_WIDTH_MM = 36.0
+
+
+def fov_from_exif(path: Path) -> float | None:
+    """Return the horizontal field of view in degrees from the first image of a folder with a focal length in EXIF.
+
+    EXIF gives the equivalent focal length for film of 36 mm width. Returns None if no image has it.
+    """
+    if not path.is_dir():
+        return None
+    for file in sorted(path.iterdir())[:3]:
+        try:
+            with Image.open(file) as picture:
+                focal_length_mm = picture.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+        except (OSError, UnidentifiedImageError, ValueError, SyntaxError, Image.DecompressionBombError):
+            continue
+        if isinstance(focal_length_mm, int) and 5 <= focal_length_mm <= 2000:
+            return round(math.degrees(2 * math.atan(_FILM_WIDTH_MM / 2 / focal_length_mm)), 1)
+    return None

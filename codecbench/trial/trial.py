@@ -1,4 +1,4 @@
-"""A recording, looked at, given a matrix and run: what `codecbench try` does, for Python."""
+"""`codecbench.trial`, which does for Python what `codecbench try` does: open a recording, fit a matrix, run it."""
 
 from __future__ import annotations
 
@@ -6,92 +6,97 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from codecbench.core.contracts.errors import DatasetError, ParamsError
+from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.plugins.registry import Registry, installed
 from codecbench.core.engine.text import counted
-from codecbench.trial.focal_length import fov_deg_of
-from codecbench.trial.recording import MOST_SAID, Recording, less, recognised, said_of, unreadable
+from codecbench.core.facade import Run, open_run
+from codecbench.core.rounds.running import run_matrix
+from codecbench.trial.recording import (
+    MOST_LISTED,
+    Recording,
+    describe_left_out,
+    fov_from_exif,
+    params_without,
+    recognize,
+    unreadable_frames,
+)
+from codecbench.trial.trial_matrix import Purpose, TrialMatrix, trial_matrix
 
-if TYPE_CHECKING:
-    from codecbench.core.facade import Run
-    from codecbench.trial.trial_matrix import Purpose, TrialMatrix
 
-
-def looked_at(
+def open_recording(
     path: str | Path,
     fov_deg: float | None = None,
     params: dict[str, Any] | None = None,
     registry: Registry | None = None,
 ) -> Recording:
-    """The recording at `path`, opened.
+    """Open the recording at `path`.
 
-    fov_deg: the horizontal field of view of a camera that the recording does not describe; by default what its pictures
-    say in EXIF. params: more parameters of its dataset. Raises DatasetError where nothing is recognised and where
-    a camera is given to pictures of several sizes.
+    fov_deg: the horizontal field of view of a camera that the recording does not describe; by default that from the
+    EXIF data of its images. params: more parameters of its dataset. Raises DatasetError if no dataset recognizes it, or
+    if a camera is given for images of several sizes.
     """
     registry, path = registry or installed(), Path(path)
     given = {**(params or {}), **({} if fov_deg is None else {"fov_deg": fov_deg})}
-    recording = recognised(registry, path, given)
+    recording = recognize(registry, path, given)
     if recording.sizes and recording.has_camera:
         raise DatasetError(f"{path}: its pictures differ in size, and a camera has one; leave out what gives it")
-    taken: dict[str, Any] = {}
+    added: dict[str, Any] = {}
     assumed: list[str] = []
     for name, value in recording.suited.items():
         if name not in given and name in recording.settable:
-            taken[name] = value
+            added[name] = value
             assumed.append(f"{name}={json.dumps(value)} suits what was found and is set (--set {name}=... for another)")
-    if (noted := _noted_view(recording, path)) is not None:
-        taken["fov_deg"] = noted
-        view = f"its pictures note a focal length that sees {noted:g} degrees (EXIF)"
+    if (exif_fov_deg := _exif_fov_deg(recording, path)) is not None:
+        added["fov_deg"] = exif_fov_deg
+        view = f"its pictures note a focal length that sees {exif_fov_deg:g} degrees (EXIF)"
         assumed.append(f"{view}, which is taken for the camera")
-    if not taken:
+    if not added:
         return recording
-    again = recognised(registry, path, {**given, **taken})
-    return replace(again, assumed=(*again.assumed, *assumed))
+    reopened = recognize(registry, path, {**given, **added})
+    return replace(reopened, assumed=(*reopened.assumed, *assumed))
 
 
-def fitted(
+def fit_matrix(
     registry: Registry,
     recording: Recording,
     codecs: Sequence[str] = (),
     aim: Purpose | None = None,
     minutes: float | None = None,
 ) -> TrialMatrix:
-    """The matrix that suits a recording, as `trial_matrix`, without frames that cannot be read, which its choices say.
+    """Return the `trial_matrix` of a recording without its unreadable frames, which the choices list.
 
-    Only frames that the matrix uses are read. Raises DatasetError where more than half of them cannot be.
+    Reads only frames that the matrix uses. Raises DatasetError if more than half of them are unreadable.
     """
-    from codecbench.trial.trial_matrix import trial_matrix
-
     left_out: list[str] = []
     while True:
-        made = trial_matrix(registry, recording, codecs, aim, minutes)
-        found = []
+        matrix = trial_matrix(registry, recording, codecs, aim, minutes)
+        faults = []
         if "skip" in recording.settable:
-            name, read = recording.dataset, (recording.params, made.frames)
-            found = registry.ask(unreadable, name, *read, of=[("dataset", name)], times=10)
-        if 2 * len(found) > made.frames:
-            more = f"and {len(found) - 1} more of {made.frames} frames, more than half"
-            raise DatasetError(f"{found[0][0]} ({more})")
-        if not found:
+            name, read = recording.dataset, (recording.params, matrix.frames)
+            faults = registry.ask(unreadable_frames, name, *read, of=[("dataset", name)], times=10)
+        if 2 * len(faults) > matrix.frames:
+            more = f"and {len(faults) - 1} more of {matrix.frames} frames, more than half"
+            raise DatasetError(f"{faults[0][0]} ({more})")
+        if not faults:
             break
         params = recording.params
-        for error in found:
-            left_out.append(said_of(DatasetError(*error)))
-            params = less(params, error[1])
-        recording = replace(recording, params=params, frames=recording.frames - len(found))
-    if (rest := len(left_out) - MOST_SAID) > 0:
-        left_out[MOST_SAID:] = [f"{counted(rest, 'more frame')} left out for such reasons (`skip`)"]
-    return replace(made, choices=(*left_out, *made.choices))
+        for error in faults:
+            left_out.append(describe_left_out(DatasetError(*error)))
+            params = params_without(params, error[1])
+        recording = replace(recording, params=params, frames=recording.frames - len(faults))
+    if (rest := len(left_out) - MOST_LISTED) > 0:
+        left_out[MOST_LISTED:] = [f"{counted(rest, 'more frame')} left out for such reasons (`skip`)"]
+    return replace(matrix, choices=(*left_out, *matrix.choices))
 
 
-def _noted_view(recording: Recording, path: Path) -> float | None:
-    """The field of view that EXIF tells of a camera which is not known and whose pictures have one size."""
+def _exif_fov_deg(recording: Recording, path: Path) -> float | None:
+    """Return the field of view from EXIF; None if the camera is known, or images differ in size, or EXIF has none."""
     if recording.has_camera or recording.sizes or "fov_deg" not in recording.settable:
         return None
-    return fov_deg_of(path)
+    return fov_from_exif(path)
 
 
 def trial(
@@ -108,28 +113,24 @@ def trial(
     """Try codecs on the recording at `path` and return the results.
 
     codecs: such as `jpeg:5..90`; aim: `tracking`, `quality` or `speed`; minutes: about how long it may take, by default
-    5 for tracking and else 2.5; the rest as of `looked_at` and `codecbench.run`. Raises DatasetError, ParamsError,
+    5 for tracking and else 2.5; the rest as of `open_recording` and `codecbench.run`. Raises DatasetError, ParamsError,
     MatrixError and Unsupported.
     """
-    from codecbench.core.engine.planning.matrix import matrix_from
-    from codecbench.core.facade import open_run
-    from codecbench.core.rounds.running import run_matrix
-
     registry = installed()
-    made = fitted(registry, looked_at(path, fov_deg, params, registry), codecs, aim, minutes)
-    matrix = matrix_from(made.text, registry)
-    return open_run(run_matrix(matrix, out, workers=workers, minutes=made.most_minutes).folder)
+    fitted = fit_matrix(registry, open_recording(path, fov_deg, params, registry), codecs, aim, minutes)
+    matrix = matrix_from(fitted.text, registry)
+    return open_run(run_matrix(matrix, out, workers=workers, minutes=fitted.most_minutes).folder)
 
 
-def added_params(texts: Sequence[str]) -> dict[str, Any]:
-    """Parameters of a dataset as `--set NAME=VALUE` gives them. Raises ParamsError for another spelling."""
-    found: dict[str, Any] = {}
+def parse_params(texts: Sequence[str]) -> dict[str, Any]:
+    """Parse parameters of a dataset, as `--set NAME=VALUE` gives them. Raises ParamsError for another spelling."""
+    params: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")
-        if not equals or not name or name in found:
+        if not equals or not name or name in params:
             raise ParamsError(f"--set {text}: write NAME=VALUE, each name once, such as topic=/camera/image_raw")
         try:
-            found[name] = json.loads(value)
+            params[name] = json.loads(value)
         except ValueError:
-            found[name] = value
-    return found
+            params[name] = value
+    return params

@@ -1,4 +1,4 @@
-"""A matrix that suits a recording: its text, with comments, to run, edit and run again."""
+"""The text of a matrix that suits a recording, with comments, to run, edit and run again."""
 
 from __future__ import annotations
 
@@ -21,60 +21,60 @@ from codecbench.core.engine.planning.search_section import PASSES
 from codecbench.core.engine.plugins.registry import Registry
 from codecbench.core.engine.running.warm_up import kernels_to_compile
 from codecbench.core.engine.text import counted
-from codecbench.trial.pace import Pace, measured_pace
+from codecbench.trial.pace import Pace, measure_pace
 from codecbench.trial.recording import Recording
-from codecbench.trial.requested_codecs import WantedCodec, read_codec
+from codecbench.trial.requested_codecs import RequestedCodec, parse_codec
 
 Purpose = Literal["tracking", "quality", "speed"]
 
 _USUAL: Final = ("jpeg:1..95", "h264:crf=51..15", "webp:0..95", "jpeg2000:ratio=400..4")
-"""From coarse to fine. The last ones are left out first if there is no time."""
+"""Default codecs, each from coarse to fine. The last ones are left out first if time is short."""
 _STEPS: Final = {False: 15, True: 7}
-"""Of a range; True: where each takes several runs. One less than a power of 2, as bisection halves them."""
+"""Steps of a range; True: if each needs several runs. One less than a power of 2, as bisection halves them."""
 _STARTS: Final = (0, 1, 2, 3)
-"""Four runs are the fewest of which a success rate can be told."""
+"""Start offsets of SLAM; a success rate needs at least four runs."""
 _TYPICAL_PIXELS: Final = 640 * 480
 _FEWEST: Final[dict[str, int]] = {"tracking": 150, "quality": 10, "speed": 10}
-"""Frames below which an aim tells nothing: a map takes a few seconds of a recording to begin."""
-_FEWEST_WITH_MEMORY: Final = 60
-"""Frames below which the first picture, which costs most, is too large a part of a video."""
-_ROOM: Final = 1.4
-"""Times what typical costs say, so that searches come to their ends where frames are dearer than typical ones."""
+"""Minimum number of frames for each aim: SLAM needs a few seconds of a recording to begin a map."""
+_FEWEST_FOR_VIDEO: Final = 60
+"""Minimum number of frames for video codecs: with fewer, the first frame dominates the rate."""
+_MARGIN: Final = 1.4
+"""Factor on typical costs, so that searches finish even if frames cost more than typical ones."""
 _ROUND_S: Final = 3.0
-"""What a round of trials takes besides its cells: workers wait for the last, and tables are made."""
+"""Overhead of a round of trials: workers wait for the last cell, and tables are made."""
 _MINUTES: Final[dict[str, float]] = {"tracking": 5.0, "quality": 2.5, "speed": 2.5}
-"""How long a user waits who said nothing of it: SLAM from several starts takes its time, pictures need not."""
+"""Default time for each aim; SLAM from several start offsets takes longest."""
 
 
 @dataclass(frozen=True)
 class TrialMatrix:
-    """The text of a matrix, and what its user is told of how it was chosen.
-
-    settings: about how many will be tried. estimated_s: wall time on this machine as busy as it is now; `compiles`
-    where that of compiling kernels is in it, which the cache does not have.
-    """
+    """The text of a matrix, and how it was chosen."""
 
     text: str
     aim: Purpose
     frames: int
     settings: int
+    """Approximate number of settings that will be tried."""
     estimated_s: float
+    """Wall time on this machine as busy as it is now."""
     compiles: bool
+    """Whether `estimated_s` contains the compilation of kernels that the cache lacks."""
     choices: tuple[str, ...]
+    """The choices in words, for the user."""
 
     @property
     def minutes(self) -> int:
-        """What is announced."""
+        """The announced duration in minutes."""
         return max(1, round(self.estimated_s / 60.0 + 0.2))
 
     @property
     def most_minutes(self) -> float:
-        """After which nothing more is tried: what is announced, and a tenth of it for what cannot be foreseen."""
+        """Time after which no new trial begins: the announced duration and a tenth more."""
         return 1.1 * self.minutes
 
 
 def suited_aim(recording: Recording) -> Purpose:
-    """Tracking where SLAM can run, else the quality of the pictures."""
+    """Return `tracking` if SLAM can run on the recording, else `quality`."""
     return "tracking" if recording.has_camera and recording.frames >= _FEWEST["tracking"] else "quality"
 
 
@@ -85,16 +85,16 @@ def trial_matrix(
     aim: Purpose | None = None,
     minutes: float | None = None,
 ) -> TrialMatrix:
-    """The matrix of a recording, as many frames of it as can be expected to take the `minutes`.
+    """Return a matrix for as many frames of a recording as fit into the expected `minutes`.
 
-    codecs: as `read_codec` reads them; by default what is usual and installed. aim: by default what suits the
-    recording. minutes: by default 5 for tracking, else 2.5. Raises Unsupported where the aim needs a camera that is
-    not known, ParamsError and MatrixError.
+    codecs: as `parse_codec` reads them; by default common ones that are installed. aim: by default what suits the
+    recording. minutes: by default 5 for tracking, else 2.5. Raises Unsupported if the aim needs a camera that is not
+    known, ParamsError and MatrixError.
     """
     chosen: list[str] = []
     if aim is None:
         aim = suited_aim(recording)
-        chosen.append(_why(aim, recording))
+        chosen.append(_explain_aim(aim, recording))
     minutes = _MINUTES[aim] if minutes is None else minutes
     if aim == "tracking" and not recording.has_camera:
         raise Unsupported(
@@ -106,34 +106,34 @@ def trial_matrix(
             "there is no ground truth: the paths that SLAM finds on raw pictures stand in for it, as far as they agree"
         )
     if recording.sizes and not codecs:
-        names = ", ".join(text.partition(":")[0] for text in _USUAL if _has_memory(registry, text))
+        names = ", ".join(text.partition(":")[0] for text in _USUAL if _is_video_codec(registry, text))
         chosen.append(f"codecs with memory ({names}) are left out: they need pictures of one size")
-    draft = _fitting(registry, recording, list(codecs), aim, minutes, chosen)
+    draft = _fit_to_time(registry, recording, list(codecs), aim, minutes, chosen)
     settings = len({cell.codec for cell in draft.plan.cells})
     compiles = draft.pace.compiling_s > 0.0
     return TrialMatrix(draft.text(), aim, draft.frames, settings, draft.seconds, compiles, tuple(chosen))
 
 
-def _fitting(
+def _fit_to_time(
     registry: Registry, recording: Recording, codecs: list[str], aim: Purpose, minutes: float, chosen: list[str]
 ) -> _Draft:
-    """The matrix that can be expected to take the `minutes`: with fewer codecs and frames, and that is said."""
+    """Return the matrix that is expected to fit into `minutes`; adds to `chosen` which codecs and frames it drops."""
     texts = codecs or _usual(registry, recording)
-    fewest = max(_FEWEST[aim], *(_FEWEST_WITH_MEMORY * _has_memory(registry, text) for text in texts))
+    fewest = max(_FEWEST[aim], *(_FEWEST_FOR_VIDEO * _is_video_codec(registry, text) for text in texts))
     budget_s = 60.0 * minutes
     steps = _STEPS[aim == "tracking" and not recording.has_ground_truth]
-    pace = measured_pace(registry, recording)
+    pace = measure_pace(registry, recording)
 
-    def drafted() -> _Draft:
-        wanted = tuple(read_codec(registry, text, steps) for text in texts)
-        return _Draft(registry, recording, wanted, aim, min(fewest, recording.frames), pace)
+    def make_draft() -> _Draft:
+        requested = tuple(parse_codec(registry, text, steps) for text in texts)
+        return _Draft(registry, recording, requested, aim, min(fewest, recording.frames), pace)
 
-    pace = replace(pace, compiling_s=kernels_to_compile(drafted().plan.cells, registry).seconds)
-    draft = drafted()
+    pace = replace(pace, compiling_s=kernels_to_compile(make_draft().plan.cells, registry).seconds)
+    draft = make_draft()
     left_out: list[str] = []
     while not codecs and len(texts) > 2 and draft.seconds > budget_s:
         left_out.append(texts.pop().partition(":")[0])
-        draft = drafted()
+        draft = make_draft()
     if left_out:
         chosen.append(f"left out for lack of time (--minutes): {', '.join(left_out)}")
     about = f"about {minutes:g} minute{'' if minutes == 1 else 's'} (--minutes)"
@@ -154,63 +154,63 @@ def _fitting(
     return draft
 
 
-def _why(aim: Purpose, recording: Recording) -> str:
-    """Why this is what codecs are judged by, and how it would be tracking where that is a parameter away."""
+def _explain_aim(aim: Purpose, recording: Recording) -> str:
+    """Explain the aim; if one parameter would make it tracking, say which."""
     if aim == "tracking":
         return "the camera is known, so codecs are judged by what SLAM makes of their pictures (--for tracking)"
-    so = "so codecs are judged by pictures and features (--for quality)"
+    judgment = "so codecs are judged by pictures and features (--for quality)"
     if recording.has_camera:
         verb = "is" if recording.frames == 1 else "are"
-        return f"{counted(recording.frames, 'frame')} {verb} too few for SLAM, {so}"
+        return f"{counted(recording.frames, 'frame')} {verb} too few for SLAM, {judgment}"
     enough = recording.frames >= _FEWEST["tracking"] and not recording.sizes and "fov_deg" in recording.settable
     how = "; with --fov DEGREES, the horizontal field of view, SLAM can run" if enough else ""
-    return f"the camera is not known, {so}{how}"
+    return f"the camera is not known, {judgment}{how}"
 
 
 def _usual(registry: Registry, recording: Recording) -> list[str]:
-    """Codecs that anybody would ask for, those of them that are installed and take the recording's pictures."""
-    there = [text for text in _USUAL if registry.find("codec", text.partition(":")[0]).missing is None]
-    return [text for text in there if not (recording.sizes and _has_memory(registry, text))]
+    """Return the default codecs that are installed and can code the recording's frames."""
+    available = [text for text in _USUAL if registry.find("codec", text.partition(":")[0]).missing is None]
+    return [text for text in available if not (recording.sizes and _is_video_codec(registry, text))]
 
 
-def _has_memory(registry: Registry, text: str) -> bool:
+def _is_video_codec(registry: Registry, text: str) -> bool:
     name = text.partition(":")[0]
     return issubclass(registry.load("codec", name), StreamCodec)
 
 
 @dataclass(frozen=True)
 class _Draft:
-    """A matrix of so many frames."""
+    """A matrix for a number of frames, with its expected cost."""
 
     registry: Registry
     recording: Recording
-    codecs: tuple[WantedCodec, ...]
+    codecs: tuple[RequestedCodec, ...]
     aim: Purpose
     frames: int
     pace: Pace
 
     @cached_property
     def plan(self) -> Plan:
-        """What is expected to be computed: of a search the settings that bisection tries, the longest work of one."""
+        """The expected work: of a search as many settings as bisection tries, and the most costly of them."""
         matrix, recording = matrix_from(self.text(), self.registry), self.recording
         entry = SequenceEntry(
             recording.name, matrix.sequences[0].setting, "", self.frames, recording.channels, recording.has_camera,
             recording.has_ground_truth,
         )  # fmt: skip
         titles = [evaluator.setting.title for evaluator in matrix.evaluators]
-        often = {"trajectory"} if titles == ["quality", "trajectory", "timing"] else set(titles) - {"trajectory"}
+        repeated = {"trajectory"} if titles == ["quality", "trajectory", "timing"] else set(titles) - {"trajectory"}
         repeats = {
             (entry.name, setting, title): ALL_REPEATS
             for search in matrix.searches
             for place, setting in enumerate(search.settings[: _tries(len(search.settings))])
             for title in titles
-            if place == 0 or title == "quality" or (title in often and title != "timing")
+            if place == 0 or title == "quality" or (title in repeated and title != "timing")
         }
         return make_plan(matrix, self.registry, scope=PlanScope(repeats), sequences=[entry])
 
     @cached_property
     def seconds(self) -> float:
-        """How long it can be expected to take. Typical costs are of frames of 640x480."""
+        """Expected duration in seconds. Typical costs are for frames of 640x480."""
         plan = self.plan
         cells = [cell for cell in plan.cells if cell.unsupported is None]
         if not cells:
@@ -222,22 +222,22 @@ class _Draft:
         rounds = 3 + max((_tries(len(codec)) for codec in self.codecs if codec.searched), default=0)
         reading_s = reads * self.pace.reading_ms / 1e3 / plan.run.workers
         working_s = START_S + _ROUND_S * rounds + typical_s * pixels + reading_s
-        return self.pace.slowness * (_ROOM * working_s + self.pace.compiling_s / plan.run.workers)
+        return self.pace.slowness * (_MARGIN * working_s + self.pace.compiling_s / plan.run.workers)
 
     @property
     def _stop(self) -> int:
-        """The number, in the source, of the frame after the last one that is used."""
+        """Number, in the source, of the frame after the last used one."""
         params = self.recording.params
         left_out = set(params.get("skip", ()))
-        used = (
+        numbers = (
             number
             for number in count(int(params.get("start", 0)), int(params.get("stride", 1)))
             if number not in left_out
         )
-        return next(islice(used, self.frames - 1, None)) + 1
+        return next(islice(numbers, self.frames - 1, None)) + 1
 
     def text(self) -> str:
-        """The YAML text."""
+        """Return the YAML text."""
         recording = self.recording
         params = {**recording.params, **({"stop": self._stop} if self.frames < recording.frames else {})}
         lines = [
@@ -268,7 +268,7 @@ _FEATURES: Final = "  - features  # what a tracker's keypoints lose"
 
 
 def _tries(settings: int) -> int:
-    """How many settings of an axis a bisection tries."""
+    """Return how many settings of an axis a bisection tries."""
     return settings.bit_length()
 
 
@@ -295,7 +295,7 @@ def _values(span: list[Any]) -> Any:
 
 
 def _flow(value: Any) -> str:
-    """A value on one line of YAML."""
+    """Format a value on one line of YAML."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):
@@ -305,5 +305,5 @@ def _flow(value: Any) -> str:
 
 
 def _name(name: str) -> str:
-    """The recording's name as a matrix may be called."""
+    """Return a matrix name made of the recording's name."""
     return "try-" + (re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "recording")

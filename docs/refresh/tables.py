@@ -33,7 +33,7 @@ from codecbench.core.report.formatting import signed_percent
 from codecbench.core.report.picks import measured_values
 from codecbench.core.report.tables import cell, table
 from codecbench.paper.measured import Measured
-from codecbench.paper.page import contradicted, deviations, tracking_limits
+from codecbench.paper.page import contradiction_list, deviations, tracking_limits
 from codecbench.plugins.datasets.synthetic.worlds.conditions import changing_conditions
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
 
@@ -214,7 +214,7 @@ def reference(run: RunResult) -> Iterator[str]:
 def paper(run: RunResult, loops: RunResult) -> Iterator[str]:
     """The paper's contradictions, down to which setting tracking works, and what differs from the paper."""
     both = [Measured(run), Measured(loops)]
-    yield from chain(contradicted(both), tracking_limits(both))
+    yield from chain(contradiction_list(both), tracking_limits(both))
     yield _figure(loops, "kitti00_half-rate-ate_rmse_m", "paper", "Error of the road's trajectory over the rate")
     yield _everything("paper", run, loops) + "\n"
     yield from deviations()

@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 
 from codecbench import Recipe
 from codecbench.cli import cli
-from codecbench.cli.apply import _measured as words_of_rate
+from codecbench.cli.apply import _describe_rate as words_of_rate
 from codecbench.cli.apply import recipes_of
 from codecbench.core.contracts.errors import PluginError
 from codecbench.core.engine.plugins.registry import installed

@@ -9,8 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from codecbench.cli.display import Display, clock, spoken
-from codecbench.cli.screen import Screen
+from codecbench.cli.display import Display, Screen, describe_progress, format_clock
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.storage.record import Record
 
@@ -19,16 +18,16 @@ MOMENT = Progress(90, 10, 4, 16, 7, 2, elapsed_s=30.0, remaining_s=200.0)
 
 def test_cells_are_counted_and_nothing_else() -> None:
     """As `codecbench status` counts them: jobs of encoding are no cells."""
-    assert spoken(MOMENT) == "14 of 90 cells, about 3:20 left, 2 without a result"
+    assert describe_progress(MOMENT) == "14 of 90 cells, about 3:20 left, 2 without a result"
     assert (
-        spoken(Progress(90, 0, 0, 16, 0, 0, 0.0, None, compiling="compiling 3 of 9"))
+        describe_progress(Progress(90, 0, 0, 16, 0, 0, 0.0, None, compiling="compiling 3 of 9"))
         == "0 of 90 cells, compiling 3 of 9"
     )
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0, "0:00"), (59.6, "1:00"), (61, "1:01"), (3725, "1:02:05")])
 def test_a_clock(seconds: float, text: str) -> None:
-    assert clock(seconds) == text
+    assert format_clock(seconds) == text
 
 
 class TwoMinutes(threading.Event):

@@ -14,7 +14,7 @@ import pytest
 from distributions import install_source
 from installed_command import TINY, Place, tiny_place
 
-from codecbench.cli.exit_status import ExitStatus
+from codecbench.cli.messages import ExitStatus
 
 HANGING = """
 import os

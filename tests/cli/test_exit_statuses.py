@@ -23,7 +23,7 @@ from recordings import pictures
 
 from codecbench import Measurement
 from codecbench.cli import COMMANDS
-from codecbench.cli.exit_status import ExitStatus
+from codecbench.cli.messages import ExitStatus
 from codecbench.core.engine.identity import content_digest, digest
 from codecbench.core.engine.storage.samples import parquet_from_samples
 
@@ -411,10 +411,10 @@ def alive(group: int) -> list[str]:
 
 
 FAULTY = """
-import codecbench.cli.status
+import codecbench.cli.plan
 def fault(*arguments, **named):
     raise ZeroDivisionError("a fault of ours")
-codecbench.cli.status.status.callback = fault
+codecbench.cli.plan.status.callback = fault
 """
 
 

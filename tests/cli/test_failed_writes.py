@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from installed_command import Done, Place, tiny_place
 
-from codecbench.cli.exit_status import ExitStatus
+from codecbench.cli.messages import ExitStatus
 
 pytestmark = pytest.mark.thorough
 

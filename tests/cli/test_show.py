@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from measured_runs import cell_result, run_of
 
-from codecbench.cli.saying import say
-from codecbench.cli.screen import plain_table
+from codecbench.cli.display import plain_table
+from codecbench.cli.messages import say
 from codecbench.cli.show import show_reasons, show_summary, show_table
 from codecbench.core.report.tables import short_table
 

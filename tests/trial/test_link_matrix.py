@@ -11,8 +11,7 @@ from codecbench.core.analysis.choosing import Demand
 from codecbench.core.contracts.errors import MatrixError, PluginError
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.trial.choosing import is_matrix
-from codecbench.trial.link_matrix import LinkMatrix, link_matrix
+from codecbench.trial.choosing import LinkMatrix, is_matrix, link_matrix
 
 BOTH = Demand("wifi_edge", deadline_ms=100, error_m=0.05)
 

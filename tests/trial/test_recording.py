@@ -14,8 +14,8 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.engine.planning.matrix import matrix_from
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.trial.recording import recognised
-from codecbench.trial.trial import fitted, looked_at
+from codecbench.trial.recording import recognize
+from codecbench.trial.trial import fit_matrix, open_recording
 
 
 def test_each_layout_is_told_from_the_others(tmp_path: Path) -> None:
@@ -38,23 +38,23 @@ def test_each_layout_is_told_from_the_others(tmp_path: Path) -> None:
     for path, (dataset, frames, camera, truth) in paths.items():
         if "freiburg" in path.name:
             continue  # its published camera has another size than these pictures; see below
-        found = recognised(installed(), path, {})
+        found = recognize(installed(), path, {})
         assert (found.dataset, found.frames, found.has_camera, found.has_ground_truth) == (
             dataset, frames, camera, truth,
         ), path  # fmt: skip
         assert (found.width, found.height) == (48, 32)
-    other = recognised(installed(), tmp_path / "x_freiburg1_y", {})
+    other = recognize(installed(), tmp_path / "x_freiburg1_y", {})
     assert not other.has_camera
     assert "is 48x32, but the calibration is for 640x480; scale one of them; left out" in other.assumed[0]
     with pytest.raises(DatasetError, match="is 48x32, but the calibration is for 640x480"):
-        recognised(installed(), tmp_path / "x_freiburg1_y", {"camera": "freiburg1"})
+        recognize(installed(), tmp_path / "x_freiburg1_y", {"camera": "freiburg1"})
 
 
 def test_it_is_said_in_one_line(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
-    said = str(recognised(installed(), tmp_path, {}))
+    said = str(recognize(installed(), tmp_path, {}))
     assert said == "folder of pictures, 2 frames, 48x32, colour, no calibration, no ground truth"
-    found = recognised(installed(), tum(tmp_path / "walk"), {})
+    found = recognize(installed(), tum(tmp_path / "walk"), {})
     assert str(found) == "TUM RGB-D folder, 2 frames, 48x32, colour, camera from calib.yaml, ground truth"
     assert "1 frame, " in str(replace(found, frames=1))
 
@@ -62,13 +62,13 @@ def test_it_is_said_in_one_line(tmp_path: Path) -> None:
 def test_pictures_of_several_sizes_are_called_so(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
     pictures(tmp_path, ["3.png"], size=(48, 32))
-    found = looked_at(tmp_path)
+    found = open_recording(tmp_path)
     assert "3 frames, pictures of 32x48 and 48x32, colour" in str(found)
     with pytest.raises(DatasetError, match="differ in size, and a camera has one"):
-        looked_at(tmp_path, fov_deg=70.0)
+        open_recording(tmp_path, fov_deg=70.0)
     for number in range(4, 7):
         pictures(tmp_path, [f"{number}.png"], size=(20, 10 * number))
-    assert "pictures of 5 sizes from 32x48 to 60x20" in str(looked_at(tmp_path))
+    assert "pictures of 5 sizes from 32x48 to 60x20" in str(open_recording(tmp_path))
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_what_cannot_be_tried_is_said(tmp_path: Path, name: str, said: str) -> N
     pictures(tmp_path, ["one.png"])
     pictures(tmp_path / "above" / "images", ["one.png"])
     with pytest.raises(DatasetError) as caught:
-        recognised(installed(), tmp_path / name, {})
+        recognize(installed(), tmp_path / name, {})
     assert str(caught.value).startswith(f"{tmp_path / name}: {said}")
 
 
@@ -105,8 +105,8 @@ def test_what_cannot_be_tried_is_said(tmp_path: Path, name: str, said: str) -> N
 def test_a_damaged_picture_is_left_out_and_the_others_are_tried(tmp_path: Path, number: int) -> None:
     pictures(tmp_path, [f"{n}.png" for n in range(10)])
     (tmp_path / f"{number}.png").write_bytes(bytes(100))
-    recording = looked_at(tmp_path)
-    made = fitted(installed(), recording, ["jpeg:10"])
+    recording = open_recording(tmp_path)
+    made = fit_matrix(installed(), recording, ["jpeg:10"])
     said = f"{tmp_path / str(number)}.png: not an image that OpenCV can read (100 bytes); fetch or copy it again"
     assert [*recording.assumed, *made.choices][0] == f"{said}; left out (`skip: [{number}]`)"
     assert f"skip: [{number}]}}" in made.text
@@ -118,18 +118,18 @@ def test_many_damaged_pictures_are_counted_and_most_are_an_error(tmp_path: Path)
     pictures(tmp_path, [f"{n}.png" for n in range(10)])
     for number in range(1, 6):
         (tmp_path / f"{number}.png").write_bytes(b"x")
-    made = fitted(installed(), looked_at(tmp_path), ["jpeg:10"])
+    made = fit_matrix(installed(), open_recording(tmp_path), ["jpeg:10"])
     assert made.choices[2].endswith("3.png: not an image that OpenCV can read (1 bytes); fetch or copy it again; "
                                     "left out (`skip: [3]`)")  # fmt: skip
     assert made.choices[3] == "2 more frames left out for such reasons (`skip`)"
     assert "skip: [1, 2, 3, 4, 5]}" in made.text
     (tmp_path / "6.png").write_bytes(b"x")
     with pytest.raises(DatasetError, match=r"1\.png: not an image .* \(and 5 more of 10 frames, more than half\)$"):
-        fitted(installed(), looked_at(tmp_path), ["jpeg:10"])
+        fit_matrix(installed(), open_recording(tmp_path), ["jpeg:10"])
     for number in range(10):
         (tmp_path / f"{number}.png").write_bytes(b"x")
     with pytest.raises(DatasetError) as caught:
-        looked_at(tmp_path)
+        open_recording(tmp_path)
     said = str(caught.value).splitlines()
     assert said[0] == f"{tmp_path}: skip leaves no frame of those from 0 to 9"
     assert said[1].startswith(f"{tmp_path}/0.png: not an image that OpenCV can read")
@@ -141,7 +141,7 @@ def test_what_is_unreadable_beside_the_pictures_costs_itself(tmp_path: Path) -> 
     with open(walk / "calib.yaml", "a") as stream:
         stream.write("note: taken at 5:30: sunny\n")
     (walk / "groundtruth.txt").write_text("0.0 0 0 0 0 0 0 1\n0.1 nonsense\n")
-    found = looked_at(walk)
+    found = open_recording(walk)
     assert (found.has_camera, found.has_ground_truth) == (False, False)
     assert found.params == {"path": str(walk), "camera": "none", "ground_truth": False}
     assert found.assumed == (
@@ -149,15 +149,15 @@ def test_what_is_unreadable_beside_the_pictures_costs_itself(tmp_path: Path) -> 
         "'note: taken at 5:30: sunny'; left out (`camera: none`)",
         f"{walk}/groundtruth.txt:2: 2 field(s), ground truth has 8; left out (`ground_truth: false`)",
     )
-    seen = looked_at(walk, fov_deg=90.0)
+    seen = open_recording(walk, fov_deg=90.0)
     assert (seen.camera_from, seen.has_ground_truth) == ("the field of view", False)
     with pytest.raises(DatasetError, match=r"calib\.yaml:7"):  # a camera that was asked for
-        looked_at(walk, params={"calibration": str(walk / "calib.yaml")})
+        open_recording(walk, params={"calibration": str(walk / "calib.yaml")})
 
 
 def test_a_field_of_view_makes_a_camera_and_is_told(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
-    found = looked_at(tmp_path, fov_deg=90.0)
+    found = open_recording(tmp_path, fov_deg=90.0)
     assert found.has_camera
     assert found.params["fov_deg"] == 90.0
     assert "ideal one of 90 degrees" in found.notes[-1]
@@ -171,7 +171,7 @@ def test_the_focal_length_that_a_camera_noted_is_used(tmp_path: Path) -> None:
     exif = picture.getexif()
     exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 18
     picture.save(tmp_path / "1.jpg", exif=exif)
-    found = looked_at(tmp_path)
+    found = open_recording(tmp_path)
     assert found.params["fov_deg"] == 90.0
     assert "sees 90 degrees (EXIF)" in found.assumed[0]
     assert "ideal one of 90 degrees" in found.notes[0]
@@ -184,11 +184,11 @@ def test_bags_are_recognised_and_their_camera_with_them(tmp_path: Path, kind: st
 
     path = write_pictures(tmp_path / ("walk.bag" if kind == "bag" else "walk"), kind)
     for place in {path, bag_file(path, kind)}:
-        found = recognised(installed(), place, {})
+        found = recognize(installed(), place, {})
         assert (found.dataset, found.frames, found.width, found.height) == ("bag", 6, 32, 24)
         assert found.has_camera
         assert any("/cam/image_raw" in note for note in found.notes)
-    said = str(recognised(installed(), path, {}))
+    said = str(recognize(installed(), path, {}))
     assert said.startswith(f"ROS {1 if kind == 'bag' else 2} bag, topic /cam/image_raw, 6 frames, 32x24, colour, ")
     assert said.endswith("camera from camera_info, no ground truth")
 
@@ -202,8 +202,8 @@ def test_every_recording_without_calibration_takes_a_field_of_view(tmp_path: Pat
         from bag_files import write_pictures
 
         path = write_pictures(tmp_path / "walk.bag", "bag", camera=False)
-    assert not looked_at(path).has_camera
-    found = looked_at(path, fov_deg=90.0)
+    assert not open_recording(path).has_camera
+    found = open_recording(path, fov_deg=90.0)
     assert found.has_camera
     assert "camera from the field of view" in str(found)
 
@@ -216,11 +216,11 @@ def test_a_camera_of_twelve_bits_is_measured_and_its_bits_are_set(tmp_path: Path
         for number in range(3):  # the first is dark
             samples = picture(number, (24, 32)).astype(np.uint16) * (16 if number else 1)
             bag.write("/image", bag.image(samples, "mono16", time_ns(number)), time_ns(number))
-    found = looked_at(tmp_path / "deep.bag")
+    found = open_recording(tmp_path / "deep.bag")
     assert found.params["bits"] == 12
     assert found.assumed[0].startswith("bits=12 suits what was found and is set")
     assert any("(`bits: 12`)" in note for note in found.notes)
-    given = looked_at(tmp_path / "deep.bag", params={"bits": 16})
+    given = open_recording(tmp_path / "deep.bag", params={"bits": 16})
     assert (given.params["bits"], given.assumed) == (16, ())
 
 
@@ -232,5 +232,5 @@ def test_what_has_to_be_chosen_is_said_as_the_command_takes_it(tmp_path: Path) -
         for topic in ("/left", "/right"):
             bag.write(topic, bag.image(picture(0), "rgb8", time_ns(0)), time_ns(0))
     with pytest.raises(DatasetError, match=r"init --from`: --set topic=VALUE$"):
-        looked_at(tmp_path / "two.bag")
-    assert looked_at(tmp_path / "two.bag", params={"topic": "/left"}).frames == 1
+        open_recording(tmp_path / "two.bag")
+    assert open_recording(tmp_path / "two.bag", params={"topic": "/left"}).frames == 1

@@ -8,7 +8,7 @@ import pytest
 
 from codecbench.core.contracts.errors import ParamsError, PluginError
 from codecbench.core.engine.plugins.registry import installed
-from codecbench.trial.requested_codecs import read_codec
+from codecbench.trial.requested_codecs import parse_codec
 
 
 @pytest.mark.parametrize(
@@ -28,19 +28,19 @@ from codecbench.trial.requested_codecs import read_codec
     ],
 )
 def test_what_is_asked_for(text: str, values: dict[str, Any]) -> None:
-    wanted = read_codec(installed(), text)
+    wanted = parse_codec(installed(), text)
     assert (wanted.name, wanted.values) == (text.partition(":")[0], values)
 
 
 def test_a_range_of_one_parameter_can_be_searched() -> None:
     texts = ("jpeg:5..90", "jpeg:5|10", "jpeg:5", "jpeg:5..90,optimize=true", "jpeg:5..90,subsampling=444|420")
-    assert [read_codec(installed(), text).searched for text in texts] == [True, False, False, True, False]
-    assert len(read_codec(installed(), "jpeg:5..90", steps=15)) == 15
+    assert [parse_codec(installed(), text).searched for text in texts] == [True, False, False, True, False]
+    assert len(parse_codec(installed(), "jpeg:5..90", steps=15)) == 15
 
 
 def test_the_settings_are_counted() -> None:
-    assert len(read_codec(installed(), "jpeg:5|10|20,subsampling=444|420")) == 6
-    assert len(read_codec(installed(), "raw")) == 1
+    assert len(parse_codec(installed(), "jpeg:5|10|20,subsampling=444|420")) == 6
+    assert len(parse_codec(installed(), "raw")) == 1
 
 
 @pytest.mark.parametrize(
@@ -57,15 +57,15 @@ def test_the_settings_are_counted() -> None:
 )
 def test_other_spellings_are_answered_with_the_right_one(text: str, words: str | None) -> None:
     if words is None:
-        assert read_codec(installed(), text).values == {}
+        assert parse_codec(installed(), text).values == {}
         return
     with pytest.raises(ParamsError, match=words):
-        read_codec(installed(), text)
+        parse_codec(installed(), text)
 
 
 def test_an_unknown_codec_is_answered_with_the_nearest() -> None:
     with pytest.raises(PluginError, match="did you mean 'jpeg'"):
-        read_codec(installed(), "jpg:5..90")
+        parse_codec(installed(), "jpg:5..90")
 
 
 @pytest.mark.parametrize(
@@ -82,5 +82,5 @@ def test_an_unknown_codec_is_answered_with_the_nearest() -> None:
 def test_values_that_a_codec_does_not_take_are_told_as_they_were_written(text: str, said: str) -> None:
     """And not by the line of a matrix that is made of them, which nobody has seen."""
     with pytest.raises(ParamsError) as caught:
-        read_codec(installed(), text)
+        parse_codec(installed(), text)
     assert str(caught.value).startswith(f"--codec {text}: {said}")

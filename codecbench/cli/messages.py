@@ -1,11 +1,13 @@
-"""Exit statuses, and how whatever ends a command becomes a message and one of them."""
+"""Messages and exit statuses of commands. This module imports little and in particular not rich."""
 
 from __future__ import annotations
 
 import errno
 import os
+import shutil
 import sys
 import tempfile
+import textwrap
 import traceback
 from contextlib import suppress
 from enum import IntEnum
@@ -15,10 +17,11 @@ from typing import Final
 import click
 
 from codecbench.core.contracts.errors import CodecbenchError, StoreError
+from codecbench.core.engine import text as terminal_text
 
 
 class ExitStatus(IntEnum):
-    """What a command's exit status says; docs/commands.md lists it command by command."""
+    """Exit statuses of commands; docs/commands.md lists them command by command."""
 
     SUCCESS = 0
     FOUND = 1
@@ -37,7 +40,7 @@ class ExitStatus(IntEnum):
 DEBUG: Final = "CODECBENCH_DEBUG"
 """The environment variable that shows tracebacks on the screen."""
 
-_NEXT: Final = {
+_HINTS: Final = {
     errno.ENOSPC: "make room on that disk, or choose a place on another",
     errno.EDQUOT: "your quota is used up: make room, or choose a place elsewhere",
     errno.EFBIG: "files may not become that large here; see `ulimit -f`",
@@ -50,12 +53,12 @@ _NEXT: Final = {
     errno.EMFILE: "too many files are open; see `ulimit -n`",
 }
 
-_NO_TEMPORARY_FOLDER: Final = "No usable temporary directory found"
-"""How `tempfile` begins to say that it can write to none of the folders that it then lists."""
+_NO_TEMPORARY_DIRECTORY: Final = "No usable temporary directory found"
+"""The beginning of the message of `tempfile` if it can write to no folder; a list of folders follows."""
 
 
 def report_error(error: BaseException) -> ExitStatus:
-    """Say what ended a command, on standard error, and give the exit status."""
+    """Print what ended a command on standard error and return the exit status."""
     if isinstance(error, BrokenPipeError):
         return ExitStatus.BROKEN_PIPE
     if isinstance(error, click.exceptions.Abort | KeyboardInterrupt):
@@ -67,20 +70,20 @@ def report_error(error: BaseException) -> ExitStatus:
         error.show()
         return ExitStatus(error.exit_code)
     if isinstance(error, OSError):
-        click.echo(f"Error: {_sentence(error)}", err=True)
+        click.echo(f"Error: {_describe(error)}", err=True)
         return ExitStatus.NOT_POSSIBLE
     if isinstance(error, CodecbenchError):
-        hint = _NEXT.get(error.__cause__.errno or 0) if isinstance(error.__cause__, OSError) else None
+        hint = _HINTS.get(error.__cause__.errno or 0) if isinstance(error.__cause__, OSError) else None
         click.echo(f"Error: {error}" + (f"; {hint}" if hint else ""), err=True)
-        return ExitStatus.NOT_POSSIBLE if _is_of_the_machine(error) else ExitStatus.WRONG_USE
-    click.echo(f"Error in codecbench: {type(error).__name__}: {error}{_where_it_is_kept(error)}", err=True)
+        return ExitStatus.NOT_POSSIBLE if _is_system_error(error) else ExitStatus.WRONG_USE
+    click.echo(f"Error in codecbench: {type(error).__name__}: {error}{_save_traceback(error)}", err=True)
     return ExitStatus.FAULT
 
 
 def close_output() -> None:
-    """Flush standard output and error; what cannot be written is dropped, so that nothing is said at the very end.
+    """Flush standard output and error.
 
-    Raises OSError where the output cannot be written.
+    Output that cannot be written is dropped, so that Python prints no error when it exits. Raises OSError then.
     """
     failure: OSError | None = None
     for stream in (sys.stdout, sys.stderr):
@@ -96,26 +99,26 @@ def close_output() -> None:
         raise failure
 
 
-def _is_of_the_machine(error: CodecbenchError) -> bool:
-    """Whether the system, or a file that is not what it was, is behind an error, and not what the user asked for."""
+def _is_system_error(error: CodecbenchError) -> bool:
+    """Return whether the system or a damaged file caused an error, and not the request of the user."""
     cause = error.__cause__
     return isinstance(cause, OSError) or (isinstance(error, StoreError) and cause is not None)
 
 
-def _sentence(error: OSError) -> str:
-    """What failed, where, and what to do next."""
+def _describe(error: OSError) -> str:
+    """Describe what failed, where, and what to do next."""
     if error.errno is None:
         return str(error) or type(error).__name__
     what = error.strerror or errno.errorcode.get(error.errno, f"error {error.errno}")
     where = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
-    hint = _NEXT.get(error.errno)
-    if what.startswith(_NO_TEMPORARY_FOLDER):
+    hint = _HINTS.get(error.errno)
+    if what.startswith(_NO_TEMPORARY_DIRECTORY):
         hint = "make room in one of them, or set TMPDIR to a folder that can be written"
     return f"{where}{what}" + (f"; {hint}" if hint else "")
 
 
-def _where_it_is_kept(error: BaseException) -> str:
-    """Write the traceback to a file, and say where, or how to see it."""
+def _save_traceback(error: BaseException) -> str:
+    """Write the traceback to a file; return a line that names the file or says how to see the traceback."""
     if os.environ.get(DEBUG):
         return ""
     try:
@@ -125,3 +128,18 @@ def _where_it_is_kept(error: BaseException) -> str:
     except OSError:
         return f"\n{DEBUG}=1 shows where"
     return f"\nthe traceback is in {Path(name)}; please report the error with that file"
+
+
+def say(text: str, *, indent: int = 0, err: bool = False, fg: str | None = None, bold: bool | None = None) -> None:
+    """Print a line, cleaned of control characters. indent: spaces before all but its first row if it is wrapped.
+
+    On a terminal, or if COLUMNS is set, the line is wrapped between words; paths and addresses stay whole. Else it is
+    one row, so that `tail -n 1` shows all of the last message.
+    """
+    text = terminal_text.clean_text(text.replace("\n", " "))
+    if (sys.stderr if err else sys.stdout).isatty() or "COLUMNS" in os.environ:
+        width = shutil.get_terminal_size().columns
+        text = textwrap.fill(
+            text, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
+        )
+    click.secho(text, err=err, fg=fg, bold=bold)
