@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 _LEAST_POINTS: Final = 3
@@ -55,9 +56,8 @@ def bd_rate(
     reason = next(filter(None, (curve.fault() for curve in curves)), "") or _overlap_fault(overlap, low, high)
     if reason:
         return BdRate(float("nan"), overlap, reason, failures)
-    from scipy.interpolate import PchipInterpolator  # takes 0.8 s to load
 
-    areas = [PchipInterpolator(c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
+    areas = [scipy.interpolate.PchipInterpolator(c.qualities, np.log10(c.rates)).antiderivative() for c in curves]
     anchor, test = (float(area(high) - area(low)) for area in areas)
     percent = 100.0 * (10.0 ** ((test - anchor) / (high - low)) - 1.0)
     return BdRate(float(percent), overlap, "", failures)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+import scipy
 from pydantic import TypeAdapter
 
 from codecbench.core.analysis.collect import open_run
@@ -170,9 +171,8 @@ def _compare_times(
     change = float(np.median(after) / np.median(before) - 1.0)
     if few < LEAST_REPEATS:
         return Comparison(old.key, *shown, change, "cannot tell", f"{few} repeats; at least {LEAST_REPEATS} are needed")
-    from scipy.stats import mannwhitneyu  # takes 1.5 s to load, and few runs repeat times
 
-    chance = float(mannwhitneyu(before, after, method="exact").pvalue)
+    chance = float(scipy.stats.mannwhitneyu(before, after, method="exact").pvalue)
     note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"
     if not same_machine:
         return Comparison(old.key, *shown, change, "cannot tell", f"another machine; {note}")

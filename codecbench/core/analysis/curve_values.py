@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from codecbench.core.analysis.bjontegaard import LEAST_OVERLAP
@@ -57,9 +58,8 @@ class CurveValues:
     @cached_property
     def means(self) -> Array:
         """(S,) mean qualities that never fall with the rate (isotonic regression)."""
-        from scipy.optimize import isotonic_regression  # slow to load
 
-        return np.asarray(isotonic_regression(self.qualities.mean(axis=1)).x)
+        return np.asarray(scipy.optimize.isotonic_regression(self.qualities.mean(axis=1)).x)
 
     @cached_property
     def inverse(self) -> Callable[[Array], Array]:
@@ -229,9 +229,9 @@ def _inverse(log_rates: Array, means: Array) -> Callable[[Array], Array]:
 
 def _interpolator(places: Array, values: Array) -> Callable[[Array | float], Array]:
     """Interpolate values monotonically between places (PCHIP)."""
-    from scipy.interpolate import PchipInterpolator  # takes 0.8 s to load
-
-    interpolator: Callable[[Array | float], Array] = PchipInterpolator(places, values, extrapolate=True)
+    interpolator: Callable[[Array | float], Array] = scipy.interpolate.PchipInterpolator(
+        places, values, extrapolate=True
+    )
     return interpolator
 
 

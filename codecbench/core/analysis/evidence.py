@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -71,9 +72,8 @@ class Evidence:
             return 0.0
         if not (self.freedom > 0 and self.variance > (_ROUNDING * self.mean) ** 2):
             return 1.0
-        from scipy.special import stdtr  # slow to load
 
-        return float(2.0 * stdtr(self.freedom, -distance / math.sqrt(self.variance)))
+        return float(2.0 * scipy.special.stdtr(self.freedom, -distance / math.sqrt(self.variance)))
 
     def reach(self, confidence: float) -> float:
         """Half the width of the confidence interval; infinite if unknown."""
@@ -88,9 +88,7 @@ class Evidence:
 
 def student_quantile(level: float, freedom: float) -> float:
     """The quantile of Student's t with `freedom` degrees of freedom at the probability `level`."""
-    from scipy.special import stdtrit  # slow to load, and many commands need no test
-
-    return float(stdtrit(freedom, level))
+    return float(scipy.special.stdtrit(freedom, level))
 
 
 def evidence_of_repeats(differences: Array, alike: Array | None = None) -> Evidence:
@@ -135,11 +133,9 @@ def evidence_of_frames(differences: Array, alike: Array | None = None, *, halved
         return Evidence(mean, math.nan, 0.0, 0.0, count)
     if same:
         return Evidence(mean, 0.0, math.inf if mean else 0.0, 0.0, count, count)
-    from scipy.fft import dct  # slow to load
-    from scipy.special import fdtrc  # slow to load, and many commands need no test
 
     series = _centered_series(differences, alike)
-    powers = dct(series, norm="ortho", axis=1)[:, 1:] ** 2  # without the mean's
+    powers = scipy.fft.dct(series, norm="ortho", axis=1)[:, 1:] ** 2  # without the mean's
     independent = _independent_count(series)
     most = _COSINES * count ** (2.0 / 3.0)
     fewest, level, share = (2, _STEEP_ALONE, 1.0) if alike is None else (1, _STEEP, _SHARE)
@@ -147,7 +143,7 @@ def evidence_of_frames(differences: Array, alike: Array | None = None, *, halved
     while True:
         nearby = powers[:, : 3 * cosines] / np.maximum(powers[:, : 3 * cosines].mean(axis=1, keepdims=True), _TINY)
         rise = float(nearby[:, :cosines].mean() / max(float(nearby[:, cosines:].mean()), _TINY))
-        chance = float(fdtrc(cosines * independent, 2.0 * cosines * independent, rise))
+        chance = float(scipy.special.fdtrc(cosines * independent, 2.0 * cosines * independent, rise))
         if not halved or chance >= level or cosines // 2 < fewest:
             break
         cosines //= 2
@@ -203,19 +199,18 @@ def combine(evidence: Sequence[Evidence]) -> Evidence:
 
 def _variance_prior(variances: Array, freedom: float) -> tuple[float, float]:
     """Degrees of freedom and value of the variances' prior (Smyth 2004, section 6.2); (0, 1) for one variance."""
-    from scipy.special import digamma, polygamma  # slow to load
 
     if len(variances) < 2:
         return 0.0, 1.0
-    logs = np.log(np.maximum(variances, _TINY)) - digamma(freedom / 2.0) + math.log(freedom / 2.0)
-    excess = float(logs.var(ddof=1) - polygamma(1, freedom / 2.0))
+    logs = np.log(np.maximum(variances, _TINY)) - scipy.special.digamma(freedom / 2.0) + math.log(freedom / 2.0)
+    excess = float(logs.var(ddof=1) - scipy.special.polygamma(1, freedom / 2.0))
     if excess <= 0.0:
         return math.inf, math.exp(float(logs.mean()))
     half = 0.5 + 1.0 / excess  # Newton's method for the inverse of the trigamma function
     for _ in range(50):
-        trigamma = float(polygamma(1, half))
-        half += trigamma * (1.0 - trigamma / excess) / float(polygamma(2, half))
-    return 2.0 * half, math.exp(float(logs.mean() + digamma(half)) - math.log(half))
+        trigamma = float(scipy.special.polygamma(1, half))
+        half += trigamma * (1.0 - trigamma / excess) / float(scipy.special.polygamma(2, half))
+    return 2.0 * half, math.exp(float(logs.mean() + scipy.special.digamma(half)) - math.log(half))
 
 
 POWER: Final = 0.8

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, Literal
 
+import scipy
+
 from codecbench.core.analysis.evidence import Evidence
 from codecbench.core.analysis.run_result import Column
 from codecbench.core.analysis.verdicts import CONFIDENCE
@@ -39,9 +41,8 @@ class Standing:
         """95 % confidence interval of the success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953)."""
         if not self.runs:
             return 0.0, 1.0
-        from scipy.stats import binomtest  # takes 1.5 s to load, and few runs have a task
 
-        limits = binomtest(self.successes, self.runs).proportion_ci(method="wilson")
+        limits = scipy.stats.binomtest(self.successes, self.runs).proportion_ci(method="wilson")
         return float(limits.low), float(limits.high)
 
     @property

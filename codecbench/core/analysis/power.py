@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
+import scipy
 
 from codecbench.core.analysis.curve_values import SMALLEST
 from codecbench.core.analysis.evidence import FEWEST_FRAMES, POWER, Evidence, student_quantile
@@ -130,11 +131,10 @@ class LimitPower:
     @cached_property
     def detectable_rate(self) -> float:
         """The success rate from which runs show a pass in the share `power` of cases; NaN if so few never do."""
-        from scipy.special import betaincinv  # slow to load
 
         runs = self.standing.runs
         least = next((n for n in range(runs + 1) if Standing("", 0.0, n, runs).verdict == "passes"), None)
-        return math.nan if least is None else float(betaincinv(least, runs - least + 1, self.power))
+        return math.nan if least is None else float(scipy.special.betaincinv(least, runs - least + 1, self.power))
 
     @property
     def more_runs(self) -> int:

@@ -11,6 +11,7 @@ from itertools import chain, combinations
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from codecbench.core.analysis.curve_values import SMALLEST, Array, CurveValues, Of, curve_values, difference, objection
@@ -255,14 +256,13 @@ def _rank_correlation(count: int, by_sequence: Mapping[str, _Pairs]) -> dict[str
     """By sequence, Kendall's tau-b of its order and the others' (Kendall 1945, doi:10.1093/biomet/33.3.239)."""
     if len(by_sequence) < 2:
         return {}
-    from scipy.stats import kendalltau  # takes 1.5 s to load, and few runs need it
 
     correlations = {}
     for name, pairs_here in by_sequence.items():
         others = _over_sequences(pairs for other, pairs in by_sequence.items() if other != name)
         (better, scores), (better_there, scores_there) = (_significance(count, of) for of in (pairs_here, others))
         if better.any() and better_there.any():
-            correlations[name] = float(kendalltau(scores, scores_there).statistic)
+            correlations[name] = float(scipy.stats.kendalltau(scores, scores_there).statistic)
     return correlations
 
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
+import scipy
+
 from codecbench.core.analysis.limits import criteria, is_empty, tests_of
 from codecbench.core.analysis.passing import PASSES_ABOVE, Joint, Passing, Standing, Test, parts
 from codecbench.core.analysis.run_result import Column, Key, RunResult
@@ -228,9 +230,7 @@ FEWEST: Final = 4
 
 def stands(successes: int, runs: int) -> bool:
     """Whether the verdict on so many runs stands with confidence, however many follow."""
-    from scipy.special import betaln  # slow to load, and few runs need it
-
-    mixed = float(betaln(successes + 1, runs - successes + 1))
+    mixed = float(scipy.special.betaln(successes + 1, runs - successes + 1))
     at_limit = successes * math.log(PASSES_ABOVE) + (runs - successes) * math.log(1.0 - PASSES_ABOVE)
     return mixed - at_limit >= -math.log(CHANCE)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import DatasetError
@@ -132,16 +133,15 @@ class FrameTree:
 
 def interpolate_poses(path: Trajectory, times_s: Floats) -> Floats:
     """Interpolate the poses (N, 4, 4) of a path at times within it."""
-    from scipy.spatial.transform import Rotation, Slerp  # takes most of a second to import, and few bags need it
 
     poses = np.tile(np.eye(4), (len(times_s), 1, 1))
     for axis in range(3):
         poses[:, axis, 3] = np.interp(times_s, path.timestamps_s, path.world_from_camera[:, axis, 3])
-    rotations = Rotation.from_matrix(path.world_from_camera[:, :3, :3])
+    rotations = scipy.spatial.transform.Rotation.from_matrix(path.world_from_camera[:, :3, :3])
     if len(path) == 1:
         poses[:, :3, :3] = rotations.as_matrix()
     else:
-        poses[:, :3, :3] = Slerp(path.timestamps_s, rotations)(times_s).as_matrix()
+        poses[:, :3, :3] = scipy.spatial.transform.Slerp(path.timestamps_s, rotations)(times_s).as_matrix()
     return poses
 
 
