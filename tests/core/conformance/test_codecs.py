@@ -83,7 +83,7 @@ def test_codecs_that_are_alike_share_their_methods(name: str, other: str) -> Non
     assert codec_class.__base__ is base
     assert base is not None
     own = {member for member, value in vars(codec_class).items() if inspect.isfunction(value)}
-    assert own <= {"_arguments", "is_lossless", "_elsewhere"}, "none that codes"
+    assert own <= {"_arguments", "is_lossless", "_other_recipes"}, "none that codes"
 
 
 def test_our_codecs_are_all_here() -> None:
