@@ -12,7 +12,7 @@ import pytest
 from measured_runs import cell_result, run_of
 from told import numbers
 
-from codecbench.cli.rank import show_found
+from codecbench.cli.rank import print_in_format
 from codecbench.core.analysis.evidence import Evidence, student_quantile
 from codecbench.core.analysis.ranking import rankings
 from codecbench.core.analysis.table import CellResult
@@ -65,7 +65,7 @@ def test_a_run_is_decided_in_a_table_and_a_sentence_for_each_codec() -> None:
 def test_programs_read_the_same_and_which_column_it_is_about(capsys: pytest.CaptureFixture[str]) -> None:
     run = run_of(*example())
     found = verdicts(run)
-    show_found(run, found, "json")
+    print_in_format(run, found, "json")
     ranking, held = json.loads(capsys.readouterr().out)
     assert [ranking["title"], held["title"]] == [verdict.title for verdict in found]
     assert [tuple(row) for row in ranking["rows"]] == list(found[0].rows)
@@ -78,7 +78,7 @@ def test_people_read_what_is_noted_of_a_setting_below_verdicts(form: str, capsys
     note = "half the colour"
     cells = [replace(cell, notes=(note,)) if cell.cell.codec.name == "mine" else cell for cell in example()]
     run = run_of(*cells)
-    show_found(run, verdicts(run), form)
+    print_in_format(run, verdicts(run), form)
     assert capsys.readouterr().out.count(f"mine: {note}.") == 1
 
 
