@@ -149,11 +149,11 @@ def test_a_run_reads_the_same_where_the_evaluator_is_not_installed(place: Path, 
         for site in (True, False)
     ]
     assert short[0].read_text() == short[1].read_text()
-    (heads,) = re.findall(r", drawn, 3 frames, .*\n\n(.*\n)", short[0].read_text())
-    assert heads.startswith("| codec | setting | Mbit/s |")
+    heads = re.findall(r", drawn, 3 frames, .*\n\n(.*\n)", short[0].read_text())
+    assert [head for head in heads if head.startswith("| codec | setting | Mbit/s |")]
     tables = [call(place, "table", "runs/foreign", "--format", "md", site=site) for site in (True, False)]
     assert tables[0] == tables[1]
-    assert {"edges kept", "edges hold"} <= {head.strip() for head in tables[0].splitlines()[0].split("|")}
+    assert {"edges kept", "edges hold"} <= {cell.strip() for cell in tables[0].split("|")}
 
 
 @pytest.mark.thorough

@@ -148,5 +148,6 @@ def test_the_page_beside_the_paper_has_every_table_and_contradiction(run: RunRes
     for image in re.findall(r"\]\((.*?\.svg)\)", text):
         assert (tmp_path / image).exists()
     # The formulas with the paper's conventions give the paper's totals on a frame of the paper's size.
-    (row,) = re.findall(r"^\| ours, model, encode, synthetic \|(.*)\|$", text, re.MULTILINE)
-    assert numbers(row) == [614_400, 844_800, 706_560, 337_920, 368_640, 1_228_800, 983_040]
+    rows = re.findall(r"^\| ours, model, encode, synthetic \|(.*)\|$", text, re.MULTILINE)
+    totals = [614_400, 844_800, 706_560, 337_920, 368_640, 1_228_800, 983_040]
+    assert totals in [numbers(row) for row in rows]
