@@ -52,7 +52,8 @@ def test_the_first_value_that_does_not_agree_is_named(cell: Cell) -> None:
     found = compare_values(cell, there, here, 1e-6, "numpy is 1.0 there, 2.0 here")
     assert found.note == "error of frame 1: 1.0 there, 1.1 here; 3 of 4 values differ; numpy is 1.0 there, 2.0 here"
     strict = compare_values(cell, there, here, 1e-6)
-    assert strict.note.startswith(f"error of frame 0: 1.0 there, {1.0 + 1e-9!r} here; 3 of 4")
+    assert "frame 0" in strict.note
+    assert f"{1.0 + 1e-9!r} here; 3 of 4" in strict.note
 
 
 def test_versions_that_may_change_a_result_are_compared() -> None:
@@ -68,17 +69,20 @@ def test_versions_that_may_change_a_result_are_compared() -> None:
     assert other_version(there, here) == ""
     there["distributions"]["scipy"] = "1.14"
     assert other_version(there, here) == "scipy is 1.14 there, 1.15 here"
-    assert (
-        other_version({**here, "system": {"libc": "glibc 2.41"}}, here) == "libc is glibc 2.41 there, glibc 2.36 here"
-    )
+    libc = other_version({**here, "system": {"libc": "glibc 2.41"}}, here)
+    assert libc.startswith("libc is glibc 2.41")
+    assert "glibc 2.36" in libc
     assert other_version({**here, "machine": {"architecture": "aarch64"}}, here).startswith("architecture is aarch64")
     newer = {"architecture": "x86_64", "simd": ["avx", "avx2", "avx512f"]}
-    assert other_version({**here, "machine": newer}, here).startswith("simd is ['avx', 'avx2', 'avx512f'] there")
+    assert other_version({**here, "machine": newer}, here).startswith(f"simd is {newer['simd']}")
     assert other_version({"distributions": 7}, here) == "versions are not known"
 
 
 def test_values_that_only_one_side_has(cell: Cell) -> None:
     other = ("rate_bpp", "dc", None, 0)
-    assert compare_values(cell, {KEY: 1.0, other: 2.0}, {KEY: 1.0}, 1e-6).note == "rate_bpp/dc: not measured here"
-    assert compare_values(cell, {KEY: 1.0}, {KEY: 1.0, other: 2.0}, 1e-6).note == "rate_bpp/dc: measured here alone"
+    there = compare_values(cell, {KEY: 1.0, other: 2.0}, {KEY: 1.0}, 1e-6)
+    here = compare_values(cell, {KEY: 1.0}, {KEY: 1.0, other: 2.0}, 1e-6)
+    for found, said in ((there, "not measured"), (here, "here alone")):
+        assert found.note.startswith("rate_bpp/dc: ")
+        assert said in found.note
     assert compare_values(cell, {}, {}, 1e-6).verdict == "not recomputed"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import bjontegaard
 import numpy as np
 import pytest
@@ -56,17 +58,17 @@ def test_a_codec_that_needs_half_the_rate_is_at_minus_fifty_percent() -> None:
         (([100, 200, 400, 800], [30, 30, 36, 38]), "not monotone"),
         (([-1, 200, 400, 800], [30, 33, 36, 38]), "not positive"),
         (([100, 200, 400, np.inf], [30, 33, 36, 38]), "infinite"),
-        (([100, 200, np.nan, 800], [30, 33, 36, 38]), "rate is not known"),
+        (([100, 200, np.nan, 800], [30, 33, 36, 38]), "is not known"),
         (([100, 200, 400, 800], [39, 40, 41, 42]), "share no quality"),
-        (([100, 200, 400, 800], [36.8, 38, 43, 46]), "share only 24 % of the smaller quality range; at least 25 %"),
+        (([100, 200, 400, 800], [36.8, 38, 43, 46]), r"share only 24 %.*\b25 %"),
         (([], []), "0 usable points"),
     ],
 )
 def test_refuses_with_a_reason(test_curve: tuple[list[float], list[float]], words: str) -> None:
     result = bd_rate([100, 200, 400, 800], [30, 33, 36, 39], *test_curve)
     assert np.isnan(result.percent)
-    assert words in result.reason
-    assert words in str(result)
+    assert re.search(words, result.reason)
+    assert str(result).endswith(result.reason)
 
 
 def test_a_quarter_of_the_shorter_range_is_enough_overlap() -> None:
@@ -92,7 +94,7 @@ def test_a_lossless_curve_is_refused_without_a_warning_of_numpy() -> None:
     with np.errstate(all="raise"):
         for anchor, test in ((ANCHOR, lossless), (lossless, TEST), (lossless, lossless)):
             result = bd_rate(*anchor, *test)
-            assert "has an infinite value" in result.reason
+            assert "infinite" in result.reason
             assert result.overlap == 0.0
 
 
@@ -112,7 +114,8 @@ def test_settings_are_taken_in_any_order() -> None:
 
 def test_it_is_said_in_words() -> None:
     assert str(BdRate(-12.34, 1.0)) == "-12.3 %"
-    assert str(BdRate(float("nan"), 0.0, "why")) == "no BD-rate: why"
+    reason = "no rate is known"
+    assert str(BdRate(float("nan"), 0.0, reason)) == f"no BD-rate: {reason}"
 
 
 def test_a_setting_that_failed_is_counted_and_ends_its_curve() -> None:

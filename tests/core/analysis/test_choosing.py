@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import Any
 
 import pytest
 from measured_runs import cell_result, run_of
+from told import numbers
 
-from codecbench.core.analysis.choosing import Candidate, Demand, NotMeasured, candidates
+from codecbench.core.analysis.choosing import TOO_OLD, Candidate, Demand, NotMeasured, candidates
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
@@ -97,9 +99,7 @@ def test_a_setting_passes_where_frames_come_in_time_and_are_of_use() -> None:
     verdicts = {point: candidate.verdict for point, candidate in found.items()}
     assert verdicts == {"q=1.0": "fails", "q=2.0": "passes", "q=4.0": "passes", "q=8.0": "fails"}
     assert found["q=8.0"].share == pytest.approx(0.3)
-    assert found["q=8.0"].causes == pytest.approx(
-        {"gone astray": 0.6, "older than the deadline": 0.1, "never begun": 0}
-    )
+    assert found["q=8.0"].causes == pytest.approx({"gone astray": 0.6, TOO_OLD: 0.1, "never begun": 0})
     assert found["q=1.0"].error_m == 0.3
     assert {point: candidate.limit for point, candidate in found.items()} == {
         "q=1.0": "error", "q=2.0": None, "q=4.0": None, "q=8.0": "time"
@@ -140,7 +140,8 @@ def test_knowing_nothing_is_never_a_success() -> None:
     assert (found["q=1.0"].verdict, found["q=1.0"].limit) == ("fails", "idle")
     assert found["q=2.0"].verdict == "passes"
     (table, _) = choices(run_of(*told_wrong), Demand("radio", error_m=0.05))
-    assert table.rows[0][-1] == "error 0.044 m is no better than 0.043 m with nothing received"
+    assert table.rows[0][-1].startswith("error 0.044 m")
+    assert numbers(table.rows[0][-1]) == [0.044, 0.043]
 
 
 def test_a_reader_that_knows_where_it_is_too_seldom_does_not_track() -> None:
@@ -153,15 +154,15 @@ def test_a_reader_that_knows_where_it_is_too_seldom_does_not_track() -> None:
 def test_a_record_without_the_error_with_nothing_received_must_be_measured_again() -> None:
     old = [size(1.0), *read(1.0, [0.02] * 8, blind=math.nan, new=math.nan), *read(2.0, [0.2] * 8, blind=math.nan)]
     table, answers = choices(run_of(*old), Demand("radio", error_m=0.1))
-    assert [row[-2:] for row in table.rows] == [
-        ("inconclusive", "not measured: the error with nothing received"),
-        ("fails", "error 0.2 m > 0.1 m"),
-    ]
+    assert [row[-2] for row in table.rows] == ["inconclusive", "fails"]
+    assert table.rows[0][-1].startswith("not measured: ")
+    assert table.rows[1][-1] == "error 0.2 m > 0.1 m"
     assert table.sentences[1] == (
         "plain q=1.0: the error with nothing received is not known; `codecbench run MATRIX --out . --recompute "
         "over_radio` measures it again."
     )
-    assert answers.sentences[0].startswith("Nothing is known to pass over radio, because 1 of 2 settings")
+    assert answers.sentences[0].startswith("Nothing is known")
+    assert "1 of 2 settings" in answers.sentences[0]
 
 
 def test_a_later_deadline_finds_more_in_time() -> None:
@@ -193,34 +194,38 @@ def test_the_least_bytes_that_pass_are_taken_and_the_limits_of_others_said() -> 
 def test_few_runs_tell_nothing_and_how_many_more_would_is_said() -> None:
     cells = [size(1.0), *delivered(1.0, 10, repeats=5), *read(1.0, [0.05, 0.05])]
     table, answers = choices(run_of(*cells), ALL)
-    assert table.rows[0][-2:] == ("inconclusive", "only 2 runs; at least 2 more would tell")
-    assert answers.sentences == (
-        "Nothing is known to pass over radio, because 1 of 1 settings have too few runs, such as plain q=1.0 (only 2 "
-        "runs; at least 2 more would tell).",
-    )
+    assert table.rows[0][-2] == "inconclusive"
+    assert table.rows[0][-1].startswith("only 2 runs; ")
+    assert numbers(table.rows[0][-1]) == [2.0, 2.0]
+    (sentence,) = answers.sentences
+    for part in ("Nothing is known", "over radio", "too few runs", "plain q=1.0"):
+        assert part in sentence
+    assert numbers(sentence) == [1.0, 1.0, 1.0, 2.0, 2.0]
     mixed = [size(1.0), *read(1.0, [0.05, 0.05, 0.05, 0.2])]
     table, _ = choices(run_of(*mixed), Demand("radio", error_m=0.1))
-    assert table.rows[0][-1] == "error 0.2 m > 0.1 m in 1 of 4 runs; at least 4 more would tell"
+    assert table.rows[0][-1].startswith("error 0.2 m > 0.1 m in 1 of 4 runs")
+    assert numbers(table.rows[0][-1]) == [0.2, 0.1, 1.0, 4.0, 4.0]
 
 
 def test_what_was_not_measured_is_said() -> None:
     table, _ = choices(run_of(size(1.0), *delivered(1.0, 10), *read(2.0, [0.05] * 5)), ALL)
-    assert table.rows[0][-2:] == ("inconclusive", "not measured: the error")
-    assert table.sentences[1:] == (
-        "plain q=1.0: the error is not known; add an evaluator that measures it with the same parameters of the link.",
-        "plain q=2.0: frames in time is not known; add an evaluator that measures it with the same parameters of the "
-        "link.",
+    assert table.rows[0][-2] == "inconclusive"
+    assert table.rows[0][-1].endswith(": the error")
+    error, in_time = table.sentences[1:]
+    assert error == (
+        "plain q=1.0: the error is not known; add an evaluator that measures it with the same parameters of the link."
     )
+    assert in_time.startswith("plain q=2.0: frames in time")
 
 
 def test_frames_in_time_decide_alone_where_nothing_reads_them() -> None:
     table, answers = choices(run_of(size(1.0), *delivered(1.0, 10)), Demand("radio", deadline_ms=100))
-    assert table.sentences[0].startswith("Nothing reads the frames, so that those in time decide alone.")
-    assert answers.sentences == (
-        "Over radio use plain q=1.0: 1 bpp; passes in 5 of 5 runs (at least 57 % at 95 %): 100 % of frames in time of "
-        "95 % asked, nothing reads them.",
-    )
-    with pytest.raises(NotMeasured, match="no error was measured over radio; ask for a deadline"):
+    assert table.sentences[0].startswith("Nothing reads the")
+    (sentence,) = answers.sentences
+    assert "use plain q=1.0" in sentence
+    assert "nothing reads" in sentence
+    assert numbers(sentence) == [1.0, 1.0, 5.0, 5.0, 57.0, 95.0, 100.0, 95.0]
+    with pytest.raises(NotMeasured, match=r"no error.*; .*deadline"):
         candidates(run_of(size(1.0), *delivered(1.0, 10)), Demand("radio", error_m=0.1))
 
 
@@ -242,9 +247,9 @@ def test_ways_over_one_link_are_told_apart_and_journeys_that_are_equal_are_not()
 def test_other_links_do_not_count_and_are_named_where_there_is_nothing() -> None:
     cells = [size(1.0), *delivered(1.0, 10), *delivered(1.0, 0, link="sound")]
     assert judged(Demand("radio", deadline_ms=100), *cells)["q=1.0"].share == 1.0
-    with pytest.raises(NotMeasured, match="nothing was measured over link 'light'; it has radio, sound"):
+    with pytest.raises(NotMeasured, match=r"'light'.* radio, sound"):
         candidates(run_of(*cells), Demand("light", deadline_ms=100))
-    with pytest.raises(NotMeasured, match="no evaluator of it has a link"):
+    with pytest.raises(NotMeasured, match="no evaluator of"):
         candidates(run_of(size(1.0)), Demand("radio", deadline_ms=100))
 
 
@@ -260,15 +265,17 @@ def test_a_slower_device_makes_pictures_older() -> None:
     assert judged(Demand("radio", **asked, device_factor=4.0), *cells)["q=1.0"].share == 1.0  # 50 + 44 ms
     assert judged(Demand("radio", **asked, device_factor=5.0), *cells)["q=1.0"].share == 0.0  # 50 + 55 ms
     table, _ = choices(run_of(*cells), Demand("radio", **asked, device_factor=4.0))
-    assert table.title == "s: over radio, 90 % of the frames of a device 4 times slower within 100 ms"
-    with pytest.raises(NotMeasured, match="no encoding was timed"):
+    assert table.title.startswith("s: over radio")
+    assert "4 times slower" in table.title
+    assert numbers(table.title) == [90.0, 4.0, 100.0]
+    with pytest.raises(NotMeasured, match="no encoding"):
         judged(Demand("radio", **asked, device_factor=4.0), *cells[:-1])
 
 
 def test_what_was_simulated_is_not_added_again() -> None:
     cells = [size(1.0), *delivered(1.0, 10, encode_ms="measured"), timed(1.0, 11.0)]
     assert judged(Demand("radio", deadline_ms=100), *cells)["q=1.0"].share == 1.0
-    with pytest.raises(NotMeasured, match="the time of encoding was simulated with encode_ms"):
+    with pytest.raises(NotMeasured, match="with encode_ms"):
         judged(Demand("radio", deadline_ms=100, device_factor=4.0), *cells)
 
 
@@ -278,15 +285,16 @@ def test_sequences_come_together_first() -> None:
     assert [table.title.split(":")[0] for table in tables] == ["all sequences together", "s", "t"]
     assert [table.rows[0][2] for table in tables] == ["65 %", "100 %", "30 %"]
     assert [table.rows[0][5] for table in tables] == ["5/10", "5/5", "0/5"]
-    assert "100 % of frames in time" in tables[1].sentences[0]
+    assert "100 % of frames" in tables[1].sentences[0]
     assert len(answers.sentences) == 1
-    assert answers.sentences[0].startswith("Nothing is known to pass")
+    assert answers.sentences[0].startswith("Nothing is known")
 
 
 def test_without_a_rate_nothing_is_called_the_least() -> None:
     table, answers = choices(run_of(*delivered(1.0, 10)), Demand("radio", deadline_ms=100))
     assert table.sentences[1].startswith("No rate was measured")
-    assert answers.sentences[0].startswith("Over radio use plain q=1.0: its rate is not known; passes")
+    assert "plain q=1.0" in answers.sentences[0]
+    assert "not known; passes" in answers.sentences[0]
 
 
 BY_ERROR = [
@@ -309,17 +317,14 @@ def test_without_a_demand_the_least_rate_that_passes_is_taken_over_each_link() -
     run = run_of(*cells)
     radio, wire, answers = choices(run, Demand(""))
     picks = link_picks(run, Demand(""))
-    asked = "s, a smaller error than with nothing received"
-    assert [table.title for table in picks] == [
-        f"The pick of each codec over {link}, {asked}" for link in ("radio", "wire")
-    ]
+    assert ["over radio" in table.title for table in picks] == [True, False]
+    assert "over wire" in picks[1].title
     assert picks[0].heads == ("codec", "setting", "bpp", "error m", "fresh", "runs", "next coarser")
     assert picks[0].rows == (("plain", "q=2.0", "2.00", "0.110", "80 %", "5/5", "q=1.0 fails"),)
     assert picks[1].rows == (("plain", "q=1.0", "1.00", "0.900", "80 %", "5/5", "none tried"),)
     assert [table.title.split(",")[0] for table in (radio, wire)] == ["s: over radio", "s: over wire"]
-    assert [sentence.split(":")[0] for sentence in answers.sentences] == [
-        "Over radio use plain q=2.0", "Over wire use plain q=1.0"
-    ]  # fmt: skip
+    named = [re.findall(r"^Over (\w+) use plain (q=[\d.]+):", sentence) for sentence in answers.sentences]
+    assert named == [[("radio", "q=2.0")], [("wire", "q=1.0")]]
     alone, _ = choices(run_of(*cells), Demand("wire"))
     assert alone.title.startswith("s: over wire")
 
@@ -361,15 +366,17 @@ def test_the_answer_says_what_is_spent_beside_the_smallest_jpeg_that_passes() ->
         "nothing received), a pose no older than 0.5 s at 80 % of the moments (50 % needed)."
     )
     run = run_of(*coded("fine", 1.0, 600.0), coded("plain", 2.0, 2000.0)[0], *read(2.0, [2.0] * 8))
-    assert ", where no plain setting tried passes; passes in 8 of 8 runs" in answer(
-        run, candidates(run, Demand("radio"))
-    )
+    told = answer(run, candidates(run, Demand("radio")))
+    assert "no plain setting" in told
+    assert "8 of 8 runs" in told
 
 
 def test_the_report_begins_with_what_to_take_over_each_link() -> None:
     html = render(run_of(*BY_ERROR), lambda _: {"frames": [], "originals": []})
     section = html[html.index('<section id="answer"') :]
-    assert '<p class="answer"><b>Over radio use plain q=2.0: 2 bpp</b>; passes in 5 of 5 runs' in section
+    (bold,) = re.findall('<p class="answer"><b>(.*?)</b>; ', section)
+    assert "radio" in bold
+    assert bold.endswith("plain q=2.0: 2 bpp")
     shown = section[section.index('<div id="links">') : section.index("</table>")]
     assert "<td" in shown
 
@@ -377,26 +384,31 @@ def test_the_report_begins_with_what_to_take_over_each_link() -> None:
 def test_the_pick_of_each_codec_over_a_link_is_in_one_table() -> None:
     run = run_of(*coded("fine", 1.0, 600.0), *coded("plain", 2.0, 2000.0), *coded("plain", 3.0, 3000.0))
     (table,) = link_picks(run, Demand("radio", error_m=0.05))
-    assert table.title == "The pick of each codec over radio, s, an error of at most 0.05 m"
+    assert "over radio, s" in table.title
+    assert numbers(table.title) == [0.05]
     assert table.heads == ("codec", "setting", "Mbit/s", "vs. plain")
     assert table.rows == (("fine", "q=1.0", "0.600", "-70 %"), ("plain", "q=2.0", "2.00", "–"))
-    assert table.sentences == ("In all rows: error m 0.0200, fresh 80 %, runs 8/8, next coarser none tried.",)
+    (same,) = table.sentences
+    for part in ("error m 0.0200", "fresh 80 %", "runs 8/8"):
+        assert part in same
     run = run_of(*coded("fine", 1.0, 600.0), coded("plain", 2.0, 2000.0)[0], *read(2.0, [2.0] * 8))
     (table,) = link_picks(run, Demand("radio"))
     assert [row[0] for row in table.rows] == ["fine"]
-    assert table.sentences == ("No setting tried passes of plain.",)
+    assert [sentence.endswith("of plain.") for sentence in table.sentences] == [True]
 
 
 def test_the_strip_of_a_codec_over_a_link_has_its_pick_and_why_the_next_coarser_fails() -> None:
     """Over a link a finer setting may fail where a coarser one passes."""
     cells = [*BY_ERROR, size(8.0), *read(8.0, [1.2] * 5)]
     (found,) = link_strips(run_of(*cells))
-    assert (found.about, found.unit) == ("what comes over radio", "bpp")
+    assert found.about.endswith("over radio")
+    assert found.unit == "bpp"
     (row,) = found.rows
     assert (row.curve, row.pick, row.cost, row.saved) == ("plain", "q=2.0", "2 bpp", "the anchor")
     assert row.words == "q=8.0: fails; q=4.0, q=2.0: passes; q=1.0: fails"
     assert [mark.is_pick for mark in row.marks] == [False, False, True, False]
-    assert row.after == "q=1.0 fails (error 1.1 m is no better than 1 m with nothing received)"
+    assert row.after.startswith("q=1.0 fails (error 1.1 m")
+    assert numbers(row.after) == [1.0, 1.1, 1.0]
     assert [row.cost for strips in link_strips(run_of(size(1.0), *read(1.0, [1.1] * 5))) for row in strips.rows] == [
         "passes nowhere"
     ]

@@ -114,13 +114,15 @@ def test_cells_that_failed_are_neither_compared_nor_a_baseline(tmp_path: Path, r
 def test_a_comparison_replaces_what_was_measured_of_the_same_metric(
     tmp_path: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    why = "the baseline has none"
+
     def compare(self: Any, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
-        yield Measurement("max_error", math.nan, reason="the baseline has none")
+        yield Measurement("max_error", math.nan, reason=why)
 
     monkeypatch.setattr(plain_plugins.ErrorEvaluator, "compare", compare)
     run = open_run(folder_of(tmp_path, record(CELLS[0], 2.0)), registry)
     (measured,) = (each for each in run.results[0].measurements if each.metric == "max_error")
-    assert (math.isnan(measured.value), measured.reason) == (True, "the baseline has none")
+    assert (math.isnan(measured.value), measured.reason) == (True, why)
 
 
 def test_a_comparison_that_fails_takes_away_nothing_that_was_measured(
@@ -129,7 +131,7 @@ def test_a_comparison_that_fails_takes_away_nothing_that_was_measured(
     """Whether a cell measured a metric of its frames or of none, and also where another cell of the evaluator did."""
 
     def compare(self: Any, outcome: Outcome, baseline: list[Outcome]) -> Iterator[Measurement]:
-        raise PluginError("it ended its process")
+        raise PluginError("torn")
 
     monkeypatch.setattr(plain_plugins.ErrorEvaluator, "compare", compare)
     of_frames = replace(record(CELLS[0], 0.0), measurements=(), summaries={("max_error", "", "mean"): 3.0})
@@ -137,8 +139,9 @@ def test_a_comparison_that_fails_takes_away_nothing_that_was_measured(
     run = open_run(folder_of(tmp_path, of_frames, nothing, record(CELLS[2], 2.0)), registry)
     for result in run.results:
         (missing,) = (measured for measured in result.measurements if measured.metric == "ratio")
-        assert (math.isnan(missing.value), missing.reason) == (True, "not compared: it ended its process")
-    assert run.wide["error.max_error.mean"].tolist() == [3.0, 2.0]
+        assert (math.isnan(missing.value), missing.reason) == (True, "not compared: torn")
+    measured = run.wide["error.max_error.mean"]
+    assert measured.tolist() == [3.0, 2.0]
     assert run.wide["error.ratio.mean"].isna().all()
 
 
@@ -202,7 +205,7 @@ def test_samples_that_are_whole_and_no_table_are_none(
         assert len(none.samples()) == 0
         assert caplog.text == ""
         assert len(odd.samples()) == 0
-        assert "no samples of single frames" in caplog.text
+        assert "no samples" in caplog.text
 
 
 @pytest.mark.parametrize("error", [PluginError, FileNotFoundError, ValueError, KeyError])
@@ -231,7 +234,7 @@ def test_an_evaluator_that_is_gone_takes_its_comparisons_along_and_no_more(
     assert of_gone.drawing() is None
     assert [measured.value for measured in other.measurements] == [2.0, 1.0]
     assert "evaluator gone: " in said
-    assert "its comparisons and drawings are missing" in said
+    assert "comparisons and drawings" in said
     assert "evaluator error" not in said
 
 
@@ -248,5 +251,6 @@ def test_a_metric_that_was_declared_later_is_missing_with_what_to_do(tmp_path: P
     assert found["1"] == []
     ((metric, value, reason),) = found["5"]
     assert (metric, math.isnan(value)) == ("max_error", True)
-    assert reason == "declared after this cell was measured; `codecbench run --recompute error` measures it"
+    assert reason.startswith("declared after")
+    assert "--recompute error`" in reason
     assert found["3"] == []

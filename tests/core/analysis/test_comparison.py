@@ -104,18 +104,18 @@ def test_rates_of_work_are_better_when_higher(rng: np.random.Generator) -> None:
 
 def test_few_repeats_and_other_machines_and_frames_cannot_tell(rng: np.random.Generator) -> None:
     few = compare(timed(rng, 1.0, 0.0, repeats=4), timed(rng, 2.0, 0.0, repeats=4))
-    assert "at least 5 are needed" in only(few).note
+    assert "at least 5" in only(few).note
     elsewhere = replace(timed(rng, 2.0, 0.0), machines=("another",))
     assert only(compare(timed(rng, 1.0, 0.0), elsewhere)).note.startswith("another machine")
     other = replace(series("m", (1.0,)), fingerprint="beef")
-    assert only(compare(snapshot(series("m", (1.0,))), snapshot(other))).note == "the sequences have other frames"
+    assert "other frames" in only(compare(snapshot(series("m", (1.0,))), snapshot(other))).note
 
 
 def test_failures_and_absences_are_verdicts() -> None:
     good, bad = series("m", (1.0,)), replace(series("m", ()), status="crashed", reason="SIGSEGV")
     assert only(compare(snapshot(good), snapshot(bad))).verdict == "worse"
     assert only(compare(snapshot(bad), snapshot(good))).verdict == "better"
-    assert only(compare(snapshot(good), snapshot())).note == "not in the second run"
+    assert only(compare(snapshot(good), snapshot())).note.endswith("the second run")
 
 
 def test_patterns_choose_metrics() -> None:
@@ -132,7 +132,7 @@ def test_a_baseline_file_survives_and_a_damaged_one_is_refused(tmp_path: Path) -
         (tmp_path / "bad.json").write_text(content)
         with pytest.raises(StoreError, match="not a baseline"):
             read_snapshot(tmp_path / "bad.json")
-    with pytest.raises(StoreError, match="neither a run folder nor a baseline"):
+    with pytest.raises(StoreError, match="neither a run folder"):
         read_snapshot(tmp_path / "nothing")
 
 

@@ -80,14 +80,15 @@ def page(place: Path, printed: str) -> tuple[str, dict[str, Any]]:
 
 
 def test_its_headlines_stand_in_the_terminal(place: Path, printed: str) -> None:
-    assert "run folder: runs/foreign" in printed
+    assert "folder: runs/foreign" in printed
     _, above, heads, *_ = call(place, "table", "runs/foreign").splitlines()
     assert above.split() == ["edges", "edges", "vs", "PSNR"]
     assert heads.split() == ["codec", "setting", "bpp", "hold", "kept", "PNG", "%", "dB", "SSIM"]
 
 
 def test_it_is_a_criterion_of_the_pareto_front(page: tuple[str, dict[str, Any]]) -> None:
-    assert "settings that no other beats in all of rate, PSNR, SSIM, edges kept." in page[0]
+    (criteria,) = re.findall(r"no other beats in all of ([^.<]*)\.", page[0])
+    assert criteria.split(", ") == ["rate", "PSNR", "SSIM", "edges kept"]
 
 
 def _table(html: str) -> tuple[list[str], dict[str, list[str]]]:
@@ -117,15 +118,17 @@ def test_it_has_rates_and_limits(place: Path, page: tuple[str, dict[str, Any]]) 
 
 def test_its_curves_are_offered_with_its_labels(page: tuple[str, dict[str, Any]]) -> None:
     presets = {preset["title"]: (preset["x"], preset["y"]) for preset in page[1]["presets"]}
-    assert presets["Rate and edges kept"] == ("quality.rate_bpp.mean", "edges.edges_kept.mean")
-    assert presets["Edges made and kept"] == ("edges.edges_made.mean", "edges.edges_kept.mean")
-    assert page[1]["columns"]["edges.edges_kept.mean"]["label"] == "edges kept"
-    assert "edges.edges_kept.mean" in page[1]["brief"]
+    rate, made, kept = "quality.rate_bpp.mean", "edges.edges_made.mean", "edges.edges_kept.mean"
+    by_rate, by_made = presets["Rate and edges kept"], presets["Edges made and kept"]
+    assert by_rate == (rate, kept)
+    assert by_made == (made, kept)
+    assert page[1]["columns"][kept]["label"] == "edges kept"
+    assert kept in page[1]["brief"]
 
 
 def test_what_its_cells_left_is_drawn(page: tuple[str, dict[str, Any]]) -> None:
     (view,) = page[1]["map_views"]
-    assert view["title"] == "Edges along the picture"
+    assert view["title"].startswith("Edges along")
     assert len(view["drawings"]) == 9
     raw = view["drawings"][0]
     assert raw["holds"] is True
@@ -146,13 +149,11 @@ def test_a_run_reads_the_same_where_the_evaluator_is_not_installed(place: Path, 
         for site in (True, False)
     ]
     assert short[0].read_text() == short[1].read_text()
-    assert (
-        "### The pick of each codec, drawn, 3 frames, 1 run a setting\n\n| codec | setting | Mbit/s |"
-        in short[0].read_text()
-    )
+    heads = re.findall(r", drawn, 3 frames, .*\n\n(.*\n)", short[0].read_text())
+    assert [head for head in heads if head.startswith("| codec | setting | Mbit/s |")]
     tables = [call(place, "table", "runs/foreign", "--format", "md", site=site) for site in (True, False)]
     assert tables[0] == tables[1]
-    assert "| edges kept | edges hold |" in tables[0]
+    assert {"edges kept", "edges hold"} <= {cell.strip() for cell in tables[0].split("|")}
 
 
 @pytest.mark.thorough

@@ -9,6 +9,7 @@ import json
 import pytest
 from distributions import install_source
 from installed_command import TINY, Place, tiny_place
+from told import numbers
 
 pytestmark = pytest.mark.thorough
 
@@ -117,7 +118,6 @@ def test_measurements_of_frames_end_with_a_reason(place: Place) -> None:
     done = place.call("run", "millions.yaml", "--quiet")
     assert done.status == 1
     (reason, *_) = [row["reason"] for row in rows(place, "runs/millions", "--tidy")]
-    assert reason == (
-        "evaluator millions of comparers 1: evaluate, frame 0: g: more than 4,000 measurements of frames in one cell; "
-        "at most 1,000 for each of its 4 frames, and 1,000,000 in all"
-    )
+    assert "millions of comparers 1: " in reason
+    assert "frame 0: g: " in reason
+    assert numbers(reason) == [1, 0, 4000, 1000, 4, 1_000_000]

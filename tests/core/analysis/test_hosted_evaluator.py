@@ -60,9 +60,9 @@ def test_it_compares_as_the_plugin_does(evaluator: HostedEvaluator, monkeypatch:
 @pytest.mark.parametrize(
     ("yielded", "said"),
     [
-        ([Measurement("speed", 1.0)], "metric 'speed' is not declared; declared: error, ratio"),
-        (["fast"], "compare: yielded str; evaluators yield Measurement"),
-        ([Measurement("ratio", math.nan)], "compare: ratio: NaN without a reason"),
+        ([Measurement("speed", 1.0)], "'speed'.*: error, ratio"),
+        (["fast"], "compare: yielded str"),
+        ([Measurement("ratio", math.nan)], "compare: ratio: NaN"),
     ],
     ids=["undeclared", "no measurement", "no reason"],
 )
@@ -78,11 +78,11 @@ def test_a_host_that_ends_costs_what_it_has_and_is_not_asked_for_what_it_has_not
     evaluator: HostedEvaluator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def gone(*_: Any, **__: Any) -> None:
-        raise PluginFault("it ended its process with status 3")
+        raise PluginFault("status 3")
 
     monkeypatch.setattr(Elsewhere, "ask", gone)
     for asked in (lambda: evaluator.compare(OUTCOME, BASELINE), lambda: evaluator.drawing(OUTCOME)):
-        with pytest.raises(PluginFault, match="it ended its process with status 3"):
+        with pytest.raises(PluginFault, match="status 3"):
             asked()
     bare = HostedEvaluator(evaluator._registry, SETTING, [])
     assert (list(bare.compare(OUTCOME, BASELINE)), bare.drawing(OUTCOME)) == ([], None)

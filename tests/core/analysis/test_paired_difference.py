@@ -70,5 +70,5 @@ def test_too_few_frames_say_nothing() -> None:
     found = paired_difference(np.arange(7.0), np.zeros(7))
     assert np.isnan([found.mean, found.standard_error, *found.interval, found.p_value, found.detectable]).all()
     assert found.frames == 7
-    with pytest.raises(ValueError, match=r"one length; got \(7,\) and \(8,\)"):
+    with pytest.raises(ValueError, match=r"one length.*\(7,\).*\(8,\)"):
         paired_difference(np.zeros(7), np.zeros(8))

@@ -85,14 +85,19 @@ def test_no_cells_give_an_empty_table_with_the_columns() -> None:
     assert len(wide([])) == 0
 
 
+def psnr(row: pd.Series[float], how: str) -> float:
+    return row[f"test.psnr_db.{how}"]
+
+
 def test_what_is_noted_of_a_setting_is_the_last_column_of_both_tables() -> None:
     """Of a setting, not of a cell: an evaluator that noted nothing measured the same setting."""
-    noted = [replace(result(psnr=(30.0,)), notes=("half the colour", "waits")), result(repeat=1, psnr=(31.0, 32.0))]
+    note = "half the colour"
+    noted = [replace(result(psnr=(30.0,)), notes=(note, "waits")), result(repeat=1, psnr=(31.0, 32.0))]
     cells = [*noted, result(codec="raw", label="", psnr=(math.inf,)), result(codec="slow", status="crashed")]
     tables = tidy(cells), wide(cells)
     assert [table.columns[-1] for table in tables] == ["notes", "notes"]
-    assert tables[0]["notes"].tolist() == ["half the colour; waits"] * 3 + ["", ""]
-    assert tables[1]["notes"].tolist() == ["half the colour; waits", "", ""]
+    assert tables[0]["notes"].tolist() == [f"{note}; waits"] * 3 + ["", ""]
+    assert tables[1]["notes"].tolist() == [f"{note}; waits", "", ""]
 
 
 def test_where_nothing_is_noted_there_is_no_column_of_notes() -> None:
@@ -105,8 +110,8 @@ def test_where_nothing_is_noted_there_is_no_column_of_notes() -> None:
 def test_wide_aggregates_over_frames_and_then_over_repeats() -> None:
     cells = [result(repeat=0, psnr=(30.0, 32.0, 40.0)), result(repeat=1, psnr=(20.0, 21.0, 25.0))]
     row = wide(cells).iloc[0]
-    assert row["test.psnr_db.mean"] == pytest.approx(np.mean([34.0, 22.0]))
-    assert row["test.psnr_db.median"] == pytest.approx(np.median([32.0, 21.0]))
+    assert psnr(row, "mean") == pytest.approx(np.mean([34.0, 22.0]))
+    assert psnr(row, "median") == pytest.approx(np.median([32.0, 21.0]))
     assert row["status"] == "ok"
 
 
@@ -120,18 +125,18 @@ def test_wide_aggregates_single_values_over_repeats() -> None:
 def test_wide_says_what_failed_and_keeps_the_rest() -> None:
     cells = [result(psnr=(30.0,)), result(repeat=1, status="timed_out", reason="after 60 s")]
     row = wide(cells).iloc[0]
-    assert row["test.psnr_db.mean"] == 30.0
+    assert psnr(row, "mean") == 30.0
     assert row["status"] == "test timed_out"
     assert row["reason"] == "after 60 s"
 
 
 def test_infinite_values_do_not_poison_a_mean_and_are_counted() -> None:
     row = wide([result(psnr=(30.0, math.inf, 32.0))]).iloc[0]
-    assert row["test.psnr_db.mean"] == 31.0
-    assert row["test.psnr_db.infinite"] == 1
+    assert psnr(row, "mean") == 31.0
+    assert psnr(row, "infinite") == 1
     lossless = wide([result(psnr=(math.inf, math.inf))]).iloc[0]
-    assert lossless["test.psnr_db.mean"] == math.inf
-    assert lossless["test.psnr_db.median"] == math.inf
+    assert psnr(lossless, "mean") == math.inf
+    assert psnr(lossless, "median") == math.inf
 
 
 def test_what_is_none_stays_none_beside_text_of_other_rows() -> None:
@@ -202,7 +207,7 @@ def test_a_row_counts_what_failed_by_evaluator_and_gives_the_first_reason() -> N
     ]
     cells.append(replace(cells[0], cell=replace(cells[0].cell, evaluator=other), reason="last"))
     row = wide(cells).iloc[0]
-    assert row["status"] == "test failed (2 repeats), test crashed, other failed"
+    assert row["status"].split(", ") == ["test failed (2 repeats)", "test crashed", "other failed"]
     assert row["reason"] == "first"
 
 

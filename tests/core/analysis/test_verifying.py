@@ -62,7 +62,7 @@ def test_files_that_the_plan_names_are_opened_only_when_asked(place: Path, tmp_p
     found = verify_run(bundle(place / "run", tmp_path / "b.zip"), cells=100, workers=1)
     assert found.counts == {"to the bit": 3, "not recomputed": 3}
     notes = {a.note for a in found.cells if a.verdict == "not recomputed"}
-    assert all("give --sequences-from FOLDER" in note for note in notes)
+    assert all("--sequences-from FOLDER" in note for note in notes)
     same = verify_run(tmp_path / "b.zip", cells=100, workers=1, sequences_from="same")
     assert same.counts == {"to the bit": 6}
 
@@ -73,7 +73,7 @@ def test_other_frames_of_the_same_name_are_not_compared(place: Path, tmp_path: P
     path = bundle(place / "run", tmp_path / "b.zip")
     found = verify_run(path, cells=100, workers=1, sequences_from=str(tmp_path))
     assert found.counts == {"to the bit": 3, "not recomputed": 3}
-    assert "has other frames here" in next(a.note for a in found.cells if a.verdict == "not recomputed")
+    assert "other frames here" in next(a.note for a in found.cells if a.verdict == "not recomputed")
 
 
 def test_a_value_that_somebody_changed_is_found(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,5 +123,6 @@ def test_what_is_of_another_version_or_not_installed_cannot_be_compared(place: P
         for a in verify_run(folder, cells=100, workers=1, sequences_from="same").cells
         if a.note
     }
-    assert "codec png: it is version" in notes["png"]
-    assert "no codec is called 'jpegg'; did you mean 'jpeg'?" in notes["jpegg"]
+    assert "it is version" in notes["png"]
+    assert "'jpegg'; did you" in notes["jpegg"]
+    assert "'jpeg'?" in notes["jpegg"]

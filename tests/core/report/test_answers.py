@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from measured_runs import HELD, SCORE, cell_result, run_of
+from told import numbers
 
 from codecbench.core.analysis.run_result import RunResult, judged_column
 from codecbench.core.analysis.table import CellResult
@@ -65,6 +66,7 @@ def test_the_answer_is_the_setting_of_least_rate_that_passes_and_what_it_saves()
 
 
 NAN = float("nan")
+WHY = "raw is no reference"
 
 
 def unjudged(codec: str, rate: float, sequence: str = "s") -> list[CellResult]:
@@ -73,7 +75,7 @@ def unjudged(codec: str, rate: float, sequence: str = "s") -> list[CellResult]:
     kept = replace(HELD, name="kept", label="kept")
     return [
         replace(cell, metrics={**cell.metrics, "kept": kept},
-                measurements=(Measurement("held", NAN, reason="raw is no reference"), Measurement("kept", 1.0)))
+                measurements=(Measurement("held", NAN, reason=WHY), Measurement("kept", 1.0)))
         if cell.cell.evaluator.name == "track" else cell
         for cell in cells
     ]  # fmt: skip
@@ -82,8 +84,12 @@ def unjudged(codec: str, rate: float, sequence: str = "s") -> list[CellResult]:
 def test_a_success_that_no_run_has_is_not_left_out_of_what_is_asked() -> None:
     """The other one alone would pass every codec. Without raw's runs there is nothing that it could be beside."""
     codecs = [*unjudged("plain", 2.0), *unjudged("plain", 1.0)]
-    assert str(answers(run_of(*unjudged("raw", 24.0), *codecs))) == "Nothing can be named here: raw is no reference."
-    assert str(answers(run_of(*codecs))).startswith("Use plain q=1.0 or coarser: 1 bpp; kept in 5 of 5 runs")
+    neither = answers(run_of(*unjudged("raw", 24.0), *codecs))
+    assert [answer.passes for answer in neither.answers] == [None]
+    assert str(neither).endswith(f": {WHY}.")
+    told = str(answers(run_of(*codecs)))
+    assert told.startswith("Use plain q=1.0")
+    assert "kept in 5 of 5" in told
 
 
 def test_a_task_that_says_what_is_enough_decides_if_no_success_can() -> None:
@@ -99,9 +105,8 @@ def test_the_answer_says_on_which_sequences_nothing_can_be_judged() -> None:
     there = [*tracked("raw", 24.0, [1.0] * 5), *tracked("plain", 1.0, [1.0] * 5)]
     silent = [*tracked("raw", 24.0, [NAN] * 5, "t"), *tracked("plain", 1.0, [NAN] * 5, "t")]
     found = answers(run_of(*there, *silent))
-    assert "held in 5 of 5 runs (at least 57 % at 95 %), 2 sequences together (nothing can be judged on t);" in str(
-        found
-    )
+    assert "2 sequences together" in str(found)
+    assert "judged on t)" in str(found)
     assert "judged" not in str(answers(run_of(*there)))
 
 
@@ -120,7 +125,7 @@ def test_codecs_whose_search_was_stopped_are_named() -> None:
     run = run_of(*tracked("raw", 24.0, [1.0] * 5), *plain, *good)
     search = SearchFinding("s", "good", "passes", "stopped", "", None, 1, "not tried for lack of time: q=1.0")
     stopped = replace(run, plan=replace(run.plan, searches=(search,)))
-    assert "; not tried to the end" not in str(answers(run))
+    assert "not tried to" not in str(answers(run))
     assert str(answers(stopped)).endswith("; not tried to the end: good.")
     nothing = replace(run_of(*tracked("raw", 24.0, [1.0] * 5), *good), plan=stopped.plan)
     assert str(answers(nothing)) == (
@@ -146,25 +151,25 @@ def test_nothing_passes_where_nothing_does() -> None:
 def test_a_codec_without_runs_that_can_be_judged_has_the_reason() -> None:
     unknown = [*tracked("plain", 0.5, [1.0] * 5)[1:], *tracked("raw", 24.0, [1.0] * 5)]
     found = answers(run_of(*unknown))
-    assert sentences(found)["plain"] == "plain: no rate is known of q=0.5."
-    assert str(found) == "Nothing can be named here: no rate is known of q=0.5."
+    assert found.answers[0].passes is None
+    assert sentences(found)["plain"].endswith("known of q=0.5.")
+    assert str(found).endswith("known of q=0.5.")
 
 
 def test_without_a_task_a_setting_passes_by_quality_beside_raw() -> None:
     """Raw has 40 dB, of which four fifths are enough."""
     plain, good = scored("plain", {1.0: 36.0, 0.5: 33.0, 0.25: 30.0}), scored("good", {0.5: 36.0, 0.25: 33.0})
     found = answers(run_of(*scored("raw", {24.0: 40.0}), *plain, *good))
-    assert str(found) == (
-        "Use good q=0.25 or coarser: 0.25 bpp, 50 % less than the smallest plain that passes (q=0.5, 0.5 bpp); "
-        "score: 33 dB, ≥ 32 dB asked, s, 64 frames; nothing failed, so the limit is lower: try coarser good."
-    )
+    assert str(found).startswith("Use good q=0.25")
+    assert "score: 33 dB, ≥ 32 dB" in str(found)
+    assert numbers(str(found)) == [0.25, 0.25, 50.0, 0.5, 0.5, 33.0, 32.0, 64.0]
 
 
 def test_without_raw_nothing_passes_or_fails_and_the_ranking_answers() -> None:
     plain, good = scored("plain", {1.0: 36.0, 0.5: 33.0, 0.25: 30.0}), scored("good", {0.5: 36.0, 0.25: 33.0})
     found = answers(run_of(*plain, *good))
     assert found.basis == "Judged by score, s; add codec raw, beside which a setting passes or fails."
-    assert str(found).startswith("Over all rates take good (q 0.25–0.5)")
+    assert "take good (q 0.25–0.5)" in str(found)
 
 
 def test_where_times_and_no_task_were_measured_milliseconds_decide() -> None:
@@ -183,7 +188,9 @@ def test_a_delay_without_the_time_of_coding_decides_nothing() -> None:
     cells = []
     for codec, rate in (("raw", 24.0), ("plain", 0.5), ("good", 0.25)):
         cells += [*scored(codec, {rate: 40.0}), cell_result(codec, rate, "clock", own={("speed", ""): [1.0]})]
-    assert str(answers(run_of(*cells))).startswith("Use good q=0.25 or coarser: 0.25 bpp, 50 % less than")
+    told = str(answers(run_of(*cells)))
+    assert told.startswith("Use good q=0.25")
+    assert "50 % less" in told
 
 
 def test_without_a_rate_or_anything_to_judge_by_nothing_is_claimed() -> None:
@@ -246,16 +253,20 @@ def test_what_is_the_same_in_all_rows_stands_below() -> None:
     (table,) = picks(run, answers(run))
     assert table.heads == ("codec", "setting", "bpp", "vs. plain")
     assert table.rows == (("good", "q=0.25", "0.250", "-50 %"), ("plain", "q=0.5", "0.500", "–"))
-    assert table.sentences == ("In all rows: score 33.0, next coarser none tried.",)
+    (same,) = table.sentences
+    assert "score 33.0" in same
+    assert numbers(same) == [33.0]
 
 
 def test_of_codecs_that_nothing_judges_every_setting_is_told() -> None:
     run = run_of(*(cell_result("plain", rate, "size", own={("bits", ""): [rate]}) for rate in (2.0, 0.123456)))
     (table,) = picks(run, answers(run))
-    assert table.title == "Every setting of p"
+    assert table.title.endswith("setting of p")
     assert table.heads == ("setting", "bits")
     assert table.rows == (("q=2.0", "2.00"), ("q=0.123456", "0.123"))
-    assert table.sentences == ("In all rows: sequence s, codec plain, status ok.",)
+    (same,) = table.sentences
+    for part in ("sequence s", "codec plain", "status ok"):
+        assert part in same
 
 
 @pytest.mark.parametrize("form", ["markdown", "latex"])
@@ -263,19 +274,19 @@ def test_a_pasted_table_brings_what_is_noted_and_the_answer(form: str) -> None:
     run = judged()
     noted = replace(run, results=[replace(run.results[0], notes=("half the color",)), *run.results[1:]])
     text = text_to_paste(noted, answer_tables(noted), form)
+    title = answer_tables(noted)[0].title
     wanted = {
         "markdown": (
             "### notes\n\n- raw: half the color.\n\n"
-            "### The pick of each codec, s, 5 frames, 5 runs a setting\n\n"
+            f"### {title}\n\n"
             "| codec | setting | bpp | vs. plain | next coarser |\n",
             "| good | q=1.0 | 1.00 | -50 % | q=0.5 inconclusive |\n",
-            "### answer\n\n- Use good q=1.0: 1 bpp, 50 % less than",
+            "### answer\n\n- Use good q=1.0: 1 bpp, 50 % less",
         ),
         "latex": (
-            "% notes\n% raw: half the color.\n\n"
-            "% The pick of each codec, s, 5 frames, 5 runs a setting\n\\begin{tabular}{lllll}\n",
+            f"% notes\n% raw: half the color.\n\n% {title}\n\\begin{{tabular}}{{lllll}}\n",
             "good & q=1.0 & 1.00 & -50 \\% & q=0.5 inconclusive \\\\\n",
-            "% answer\n% Use good q=1.0: 1 bpp, 50 % less than",
+            "% answer\n% Use good q=1.0: 1 bpp, 50 % less",
         ),
     }
     for part in wanted[form]:

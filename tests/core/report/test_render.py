@@ -75,13 +75,15 @@ def test_failures_of_one_setting_are_told_apart_by_their_repeat() -> None:
         for result in run.results
     )
     titles = re.findall(r'<details class="failure"><summary>(.*?)</summary>', page(replace(run, results=broken)))
-    assert titles == [f"sequence0, plain q=1.0, track, repeat {repeat}: failed" for repeat in range(4)]
+    assert [title.split(", ") for title in titles] == [
+        ["sequence0", "plain q=1.0", "track", f"repeat {repeat}: failed"] for repeat in range(4)
+    ]
 
 
 def test_times_of_several_machines_are_not_to_be_compared() -> None:
     one, two = ({"machine": {"cpu": name}} for name in ("an abacus", "an engine"))
     run = report_run(1)
-    assert "times hold for this machine alone" in page(replace(run, environments={"a": one, "b": one}))
+    assert "this machine alone" in page(replace(run, environments={"a": one, "b": one}))
     html = page(replace(run, environments={"a": one, "b": two}))
-    assert "2 machines: do not compare times" in html
-    assert "times hold for this machine alone" not in html
+    assert "2 machines: do not" in html
+    assert "this machine alone" not in html

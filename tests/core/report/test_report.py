@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from chromium import CHROMIUM, browser
+from told import numbers
 
 import codecbench
 from codecbench.core.analysis.run_result import RunResult
@@ -74,17 +75,20 @@ def test_every_number_of_the_page_is_in_the_tables(page: Path, run: RunResult) -
         assert preset["y"] in wide.columns
     titles = [preset["title"] for preset in data["presets"]]
     assert titles[:2] == ["Rate and PSNR", "Rate and SSIM"]
-    assert titles[data["first"]] == "Rate and error with positions held"
-    assert {"Rate and trajectory error", "Rate and tracked share", "Encoding processor time and PSNR"} <= set(titles)
+    assert titles[data["first"]].endswith("with positions held")
+    beside_rate = {title.removeprefix("Rate and ") for title in titles}
+    assert {"trajectory error", "tracked share"} <= beside_rate
+    assert any(title.endswith("processor time and PSNR") for title in titles)
     assert [view["title"] for view in data["map_views"]] == ["Trajectories"]
     assert len(data["map_views"][0]["drawings"]) == 9
     assert {part["choice"] for part in data["bars_views"][0]["parts"]} == {"operations, source", "operations, model"}
     assert len({(found["codec"], found["setting"]) for found in data["frames"]}) == 8
     assert len(data["frames"]) == 8 * 5
-    shown = data["table"]["quality.psnr_gray_db.mean"]
+    psnr = "quality.psnr_gray_db.mean"
+    shown = data["table"][psnr]
     assert shown[wide["setting"].tolist().index("")] == "inf"
     where = wide["setting"].tolist().index("quality=30")
-    assert shown[where] == wide["quality.psnr_gray_db.mean"].iloc[where]
+    assert shown[where] == wide[psnr].iloc[where]
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed: no browser to open the page in")
@@ -94,8 +98,9 @@ def test_the_page_opens_without_a_complaint_and_every_plot_is_drawn(page: Path, 
         opened.open(page.as_uri())
         assert opened.complaints == []
         assert opened.requests == [page.as_uri()] or all(found.startswith("data:") for found in opened.requests[1:])
-        assert opened.evaluate("document.querySelectorAll('svg.chart').length") >= 10
-        assert opened.evaluate("document.querySelectorAll('td').length") > 50
+        charts, cells = (f"document.querySelectorAll('{part}').length" for part in ("svg.chart", "td"))
+        assert opened.evaluate(charts) >= 10
+        assert opened.evaluate(cells) > 50
         assert "ATE" in opened.evaluate("$('path-caption').textContent")
 
 
@@ -143,7 +148,6 @@ def test_the_page_beside_the_paper_has_every_table_and_contradiction(run: RunRes
     for image in re.findall(r"\]\((.*?\.svg)\)", text):
         assert (tmp_path / image).exists()
     # The formulas with the paper's conventions give the paper's totals on a frame of the paper's size.
-    assert (
-        "| ours, model, encode, synthetic | 614,400 | 844,800 | 706,560 | 337,920 | 368,640 | 1,228,800 | 983,040 |"
-        in text
-    )
+    rows = re.findall(r"^\| ours, model, encode, synthetic \|(.*)\|$", text, re.MULTILINE)
+    totals = [614_400, 844_800, 706_560, 337_920, 368_640, 1_228_800, 983_040]
+    assert totals in [numbers(row) for row in rows]

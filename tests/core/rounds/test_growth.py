@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from search_bench import SearchBench, size_of
 from search_plugins import TossParams, chance
+from told import numbers
 
 from codecbench.core.engine.planning.model import Cell
 from codecbench.core.engine.planning.plan import make_plan
@@ -136,10 +137,10 @@ def test_a_search_that_was_stopped_goes_on_and_computes_nothing_twice(bench: Sea
 
 def test_a_failed_trial_stops_the_search_and_the_next_run_goes_on(bench: SearchBench) -> None:
     text = matrix(ENTRY % "at: {weight_bytes: 100}", ENTRY % "at: {weight_bytes: 600}")
-    broken = {50: "the dial came off"}
+    broken = {50: "loose"}
     stopped, other = bench.run(text, lambda cell: broken.get(cell.codec.params["level"]) or weigh(cell))
     assert (stopped.state, stopped.setting, stopped.trials) == ("stopped", "", 3)
-    assert "level=50 failed: the dial came off" in stopped.words
+    assert "level=50 failed: loose" in stopped.words
     assert other.setting == "level=197", "another search goes on"
     mended, _ = bench.run(text, weigh)
     assert mended.setting == "level=30"
@@ -150,13 +151,12 @@ def test_a_failed_trial_stops_the_search_and_the_next_run_goes_on(bench: SearchB
 def test_values_that_are_no_numbers_stop_a_search(bench: SearchBench) -> None:
     (found,) = bench.run(matrix(ENTRY % "at: {weight_bytes: 100}"), lambda cell: math.nan)
     assert (found.state, found.setting, found.reached) == ("stopped", "", None)
-    assert "level=0 has no value: nothing was weighed" in found.words
+    assert "level=0 has no" in found.words
     (found,) = SearchBench(bench.folder).run(matrix(ENTRY % "search: {metric: weight_bytes, max: 5}"), weigh)
     (found,) = bench.run(matrix(ENTRY % "search: {metric: weight_bytes, min: 9}", run="seed: 5"), lambda _: math.nan)
-    assert (found.state, found.words) == (
-        "unreachable",
-        "no setting tried will do: nothing was weighed; 3 of 201 settings tried",
-    )
+    assert found.state == "unreachable"
+    assert "nothing was weighed" in found.words
+    assert numbers(found.words) == [3.0, 201.0]
 
 
 def test_infinite_values_are_beyond_every_limit(bench: SearchBench) -> None:
@@ -175,7 +175,8 @@ def test_a_value_that_turns_is_told(bench: SearchBench) -> None:
 
     (found,) = bench.run(matrix(ENTRY % "at: {weight_bytes: 250}"), humped)
     assert found.setting == "level=50"
-    assert "not monotone: 300 at level=100" in found.words
+    assert "not monotone: 300" in found.words
+    assert ": 300 at level=100" in found.words
     assert "not monotone" not in bench.run(matrix(ENTRY % "at: {weight_bytes: 250}", run="seed: 1"), weigh)[0].words
 
 
@@ -186,7 +187,9 @@ def test_a_value_that_turns_while_it_falls_is_told(bench: SearchBench) -> None:
         return 600.0 - level + (200.0 if level == 100 else 0.0)
 
     (found,) = bench.run(matrix(ENTRY % "at: {weight_bytes: 450}"), bumped)
-    assert "not monotone: 600 at level=0, 700 at level=100" in found.words
+    assert "not monotone: 600" in found.words
+    assert "600 at level=0, 700" in found.words
+    assert "700 at level=100" in found.words
     falling = bench.run(matrix(ENTRY % "at: {weight_bytes: 450}", run="seed: 1"), lambda cell: 1000.0 - weigh(cell))
     assert "not monotone" not in falling[0].words
 
@@ -202,7 +205,7 @@ def test_a_spent_budget_is_told(bench: SearchBench) -> None:
 def test_where_every_setting_will_do_the_one_next_to_the_limit_is_taken(bench: SearchBench) -> None:
     (found,) = bench.run(matrix(ENTRY % "search: {metric: weight_bytes, max: 1000}"), weigh)
     assert (found.state, found.setting) == ("found", "level=200")
-    assert "every setting tried will do" in found.words
+    assert "every setting tried" in found.words
 
 
 @pytest.mark.thorough
@@ -298,7 +301,7 @@ def test_several_parameters_are_sampled_to_the_cheapest_that_will_do(bench: Sear
     sure = "scales, {use: toss, params: {even_at_bytes: 60}}"
     (cheapest,) = bench.run(matrix(caught, evaluators=sure), toss)
     assert cheapest.state == "found"
-    assert "has the least weight_bytes" in cheapest.words
+    assert "least weight_bytes" in cheapest.words
     spent = {cell.codec.label: size_of(cell) for cell in bench.computed}
     assert 60 <= spent[cheapest.setting] < 75
 
