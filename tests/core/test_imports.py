@@ -15,7 +15,7 @@ import sys
 import codecbench.core.report.answers, codecbench.core.analysis.comparison
 import codecbench.core.analysis.power
 import codecbench.core.report.page, codecbench.core.rounds.running
-print(*{"numba", "scipy", "matplotlib"} & sys.modules.keys())
+print(*{"numba", "scipy.special", "scipy.stats", "scipy.optimize", "matplotlib"} & sys.modules.keys())
 """
 
 
