@@ -13,25 +13,16 @@ class Untold(Exception):
 
 
 @pytest.mark.parametrize(
-    ("error", "words"),
+    ("told", "words"),
     [
-        (ValueError("no such table"), "ValueError: no such table"),
-        (KeyboardInterrupt(), "KeyboardInterrupt: "),
-        (Untold(), "Untold, whose message raises SystemExit"),
+        (describe_error(ValueError("no such table")), "ValueError: no such table"),
+        (describe_error(KeyboardInterrupt()), "KeyboardInterrupt: "),
+        (describe_error(Untold()), "Untold, whose message raises SystemExit"),
+        (describe_exit(0), "it ended its process with status 0"),
+        (describe_exit(3), "it ended its process with status 3"),
+        (describe_exit(-9), "it ended its process by SIGKILL"),
+        (describe_exit(-50), "it ended its process by signal 50"),
     ],
 )
-def test_an_exception_is_told(error: BaseException, words: str) -> None:
-    assert describe_error(error) == words
-
-
-@pytest.mark.parametrize(
-    ("status", "words"),
-    [
-        (0, "it ended its process with status 0"),
-        (3, "it ended its process with status 3"),
-        (-9, "it ended its process by SIGKILL"),
-        (-50, "it ended its process by signal 50"),
-    ],
-)
-def test_an_end_is_told(status: int, words: str) -> None:
-    assert describe_exit(status) == words
+def test_an_exception_and_an_end_are_told(told: str, words: str) -> None:
+    assert told == words

@@ -134,7 +134,7 @@ def test_a_file_that_is_not_what_was_bundled(sound: Path, place: Path) -> None:
     [
         ("plan.json", r"hostile\.zip is refused: its plan\.json is damaged .*; nothing of it was unpacked"),
         ("record.json", "none of its 2 cells has a record that can be read"),
-        ("trajectory.txt", "none of its 2 cells has a record that can be read"),
+        ("trajectory.txt", "none of its 2 cells"),
     ],
 )
 def test_a_run_that_was_damaged_before_it_was_bundled(sound: Path, place: Path, ending: str, match: str) -> None:
@@ -281,5 +281,5 @@ def test_a_folder_that_is_there_is_left_alone(sound: Path, tmp_path: Path) -> No
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     with pytest.raises(StoreError, match="is there already"):
         unpack_bundle(sound, tmp_path / "link")
-    with pytest.raises(StoreError, match="there is no such file"):
+    with pytest.raises(StoreError, match="no such file"):
         unpack_bundle(tmp_path / "absent.zip", tmp_path / "opened")

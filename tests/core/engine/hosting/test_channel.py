@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -142,13 +143,12 @@ def test_who_is_asked_may_call_nothing_that_it_was_not_given(stranger: Stranger,
     stranger.says({"number": 1, "value": "done"})
     assert stranger.asked(Exposed("function", lambda value: 2 * value)) == "done"
     _, *answers = stranger.hears()
-    assert [answer.get("value", answer.get("text")) for answer in answers] == [
-        "WireError: it may not ask for that",
-        "WireError: there is no __reduce_ex__ to call",
-        "WireError: there is no __call__ to call",
-        10,
-        "TypeError: 'int' object is not iterable",
-    ]
+    assert [answer.get("value") for answer in answers] == [None, None, None, 10, None]
+    outside, hidden, nobody, _, wrong = [str(answer.get("text")) for answer in answers]
+    assert re.search(r"^WireError: .*may not ask", outside)
+    assert re.search(r"^WireError: .* no __reduce_ex__ ", hidden)
+    assert re.search(r"^WireError: .* no __call__ ", nobody)
+    assert re.search(r"^TypeError: 'int' .*not iterable", wrong)
     assert list(tmp_path.iterdir()) == []
 
 

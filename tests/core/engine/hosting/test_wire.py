@@ -140,7 +140,7 @@ def test_a_generator_goes_on_where_it_was() -> None:
         (Pair(1, 2), "Pair"),
         (1j, "complex"),
         (len, "builtin_function_or_method"),
-        (np.array([None]), "ndarray of dtype object"),
+        (np.array([None]), f"ndarray of dtype {np.dtype(object)}"),
         (np.zeros(2, [("a", "i4")]), "ndarray of dtype [('a', '<i4')]"),
     ],
 )

@@ -96,7 +96,7 @@ def test_what_cannot_be_computed_here_says_why(plan) -> None:  # type: ignore[no
 
 def test_sequences_that_do_not_open_are_reported_at_their_place(plan) -> None:  # type: ignore[no-untyped-def]
     text = MATRIX.replace("  - {use: ramp", "  - {use: ramp, params: {broken: true}}\n  - {use: ramp")
-    with pytest.raises(MatrixError, match=r"matrix\.yaml:4:5: sequences\[0\]: ramp\.txt:3: broken on purpose"):
+    with pytest.raises(MatrixError, match=r":4:5: .*\[0\]: ramp\.txt:3: broken"):
         plan(text)
 
 

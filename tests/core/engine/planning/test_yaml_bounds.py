@@ -114,7 +114,7 @@ def test_aliases_merges_and_anchors_of_a_sane_matrix_are_taken(tmp_path: Path) -
 def test_what_aliases_repeat_is_counted() -> None:
     text = "a: &a [{}]\nb: &b [{}]\nc: [{}]\n".format(", ".join(["1"] * 99), ", ".join(["*a"] * 99), "{}")
     require_bounded(text.replace("{}", ", ".join(["*b"] * 1)), "m.yaml")
-    with pytest.raises(MatrixError, match=r"m\.yaml:3:.*more than 20,000 values"):
+    with pytest.raises(MatrixError, match=r"m\.yaml:3:.* 20,000 values"):
         require_bounded(text.replace("{}", ", ".join(["*b"] * 2)), "m.yaml")
 
 
@@ -135,5 +135,5 @@ def test_thousands_of_problems_are_not_all_spelled_out(planned: dict[str, Done])
 @pytest.mark.parametrize("opening", ["[", "{a: ", "- "], ids=["lists", "mappings", "blocks"])
 def test_depth_is_refused_while_it_is_read(opening: str) -> None:
     """Soon after it comes what is no YAML: whoever stops at once does not find it."""
-    with pytest.raises(MatrixError, match=r"m\.yaml:1:\d+: more than 64 levels deep"):
+    with pytest.raises(MatrixError, match=r"m\.yaml:1:\d+: .* 64 levels"):
         require_bounded(opening * 200 + "@", "m.yaml")

@@ -111,7 +111,7 @@ def test_a_distribution_is_imported_once_and_where_no_other_is(tmp_path: Path) -
 def test_a_plugin_that_needs_more_says_what_to_install(tmp_path: Path) -> None:
     install_source(tmp_path, "needy", "1", hook_module(requires=("nothing_of_this_name",), extra="needy[all]"))
     row = next(row for row in listed(tmp_path)["codecs"] if row["name"] == "mine")
-    assert "pip install 'needy[all]'" in str(row["missing"])
+    assert "install 'needy[all]'" in str(row["missing"])
 
 
 def test_a_plugin_whose_library_is_too_old_says_what_to_upgrade(tmp_path: Path) -> None:
@@ -119,12 +119,12 @@ def test_a_plugin_whose_library_is_too_old_says_what_to_upgrade(tmp_path: Path) 
     (metadata,) = tmp_path.glob("needy-1.dist-info/METADATA")
     metadata.write_text(metadata.read_text().rstrip() + "\nRequires-Dist: numpy>=99; extra == 'all'\n")
     row = next(row for row in listed(tmp_path)["codecs"] if row["name"] == "mine")
-    assert f"numpy >=99, not {np.__version__} which is installed" in str(row["missing"])
-    assert "pip install --upgrade 'needy[all]'" in str(row["missing"])
+    assert f"numpy >=99, not {np.__version__} " in str(row["missing"])
+    assert "--upgrade 'needy[all]'" in str(row["missing"])
 
 
 def test_unknown_names_are_answered_with_the_nearest() -> None:
-    with pytest.raises(PluginError, match="did you mean 'jpeg2000'"):
+    with pytest.raises(PluginError, match="you mean 'jpeg2000'"):
         installed().find("codec", "jpg2000")
 
 

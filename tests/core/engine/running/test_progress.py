@@ -31,7 +31,7 @@ def test_what_a_cell_measured_is_its_headlines_in_the_units_that_people_are_show
     }
     summaries = {("error_m", "", "mean"): 0.01234, ("share", "", "mean"): 0.9, ("infinite", "", "mean"): float("inf")}
     of, record = cell(5, "raw", "tracking"), Record("id", "ok", summaries={**summaries, ("detail", "", "mean"): 1.0})
-    assert headline_words(of, record, declared) == "raw: error 1.23 cm, tracked 0.9"
+    assert headline_words(of, record, declared).split(", ") == ["raw: error 1.23 cm", "tracked 0.9"]
     assert headline_words(of, record, {}) == ""
 
 

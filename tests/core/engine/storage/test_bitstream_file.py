@@ -61,7 +61,7 @@ def test_a_file_is_refused_at_every_length_but_its_own(tmp_path: Path) -> None:
     with pytest.raises(BitstreamDamage, match="footer"):
         BitstreamFile(content + b"\0", JOB)
     (tmp_path / "empty.bits").write_bytes(b"")
-    with pytest.raises(BitstreamDamage, match=r"empty\.bits: not a file of bitstreams, or truncated \(0 bytes\)"):
+    with pytest.raises(BitstreamDamage, match=r"empty\.bits: .*\(0 bytes\)"):
         BitstreamFile(tmp_path / "empty.bits", JOB)
 
 
@@ -99,7 +99,7 @@ def test_a_footer_whose_checksum_is_right_must_fit_the_file() -> None:
 def test_whose_bitstreams_they_are_is_checked() -> None:
     with pytest.raises(BitstreamDamage, match=f"holds the bitstreams of job {JOB}, not of {'cd' * 16}"):
         BitstreamFile(written(BITSTREAMS), "cd" * 16)
-    with pytest.raises(BitstreamDamage, match="holds the bitstreams of job short, not of "):
+    with pytest.raises(BitstreamDamage, match="job short, not of "):
         BitstreamFile(written(BITSTREAMS, "short"), JOB)
     assert BitstreamFile(written(BITSTREAMS, "short"), "short").read(0) == b"first"
 
@@ -115,7 +115,7 @@ def test_packets_of_a_stream_are_one_of_each_frame_in_any_order() -> None:
     assert file.is_stream
     assert [packet.frame for packet in file.packets] == [0, 2, 1]
     for wrong in ((0, 0), (0, 2), (1,)):
-        with pytest.raises(BitstreamDamage, match="its packets are not one of each frame"):
+        with pytest.raises(BitstreamDamage, match="one of each"):
             BitstreamFile(stream_of(*wrong), JOB)
 
 

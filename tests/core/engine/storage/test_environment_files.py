@@ -55,7 +55,9 @@ def test_those_of_earlier_versions_have_no_checksum_and_are_checked_by_their_nam
     (tmp_path / "other.json").write_text(json.dumps(DESCRIPTION))
     files = EnvironmentFiles(tmp_path)
     assert files.read() == {NAME: DESCRIPTION}
-    assert files.damaged() == {"other": "its content does not match its name"}
+    damaged = files.damaged()
+    assert list(damaged) == ["other"]
+    assert "match its name" in damaged["other"]
 
 
 @pytest.mark.parametrize("content", ["[]", '"text"', "not JSON"])

@@ -37,17 +37,17 @@ def checked(*measurements: Any, frame: int | None = None) -> list[Measurement]:
         (3.0, None, "yielded float; evaluators yield Measurement"),
         (Measurement("speed", 1.0), None, "metric 'speed' is not declared; declared: error, size"),
         (Measurement("size", True), None, "size: a value is a number, got bool"),
-        (Measurement("size", "3"), None, "size: a value is a number, got str"),  # type: ignore[arg-type]
-        (Measurement("size", None), None, "size: a value is a number, got NoneType"),  # type: ignore[arg-type]
+        (Measurement("size", "3"), None, "size: .*got str"),  # type: ignore[arg-type]
+        (Measurement("size", None), None, "size: .*got NoneType"),  # type: ignore[arg-type]
         (Measurement("size", math.nan), None, "size: NaN without a reason"),
-        (Measurement("size", math.nan, reason=""), None, "size: NaN without a reason"),
+        (Measurement("size", math.nan, reason=""), None, "size: NaN without"),
         (Measurement("size", 1.0, stage=3), None, "size: stage and reason are text, got int"),  # type: ignore[arg-type]
-        (Measurement("size", 1.0, reason=b"x"), None, "size: stage and reason are text, got bytes"),  # type: ignore[arg-type]
+        (Measurement("size", 1.0, reason=b"x"), None, "size: stage .*got bytes"),  # type: ignore[arg-type]
         (Measurement("size", 1.0, frame=2), 1, "size: measured on frame 1 but yielded for frame 2"),
         (Measurement("size", 1.0, frame=3), None, r"size: frame 3 is not one of 0\.\.2"),
-        (Measurement("size", 1.0, frame=-1), None, r"size: frame -1 is not one of 0\.\.2"),
-        (Measurement("size", 1.0, frame=1.0), None, r"size: frame 1\.0 is not one of 0\.\.2"),  # type: ignore[arg-type]
-        (Measurement("size", 1.0), 3, r"size: frame 3 is not one of 0\.\.2"),
+        (Measurement("size", 1.0, frame=-1), None, r"size: frame -1 .*0\.\.2"),
+        (Measurement("size", 1.0, frame=1.0), None, r"size: frame 1\.0 .*0\.\.2"),  # type: ignore[arg-type]
+        (Measurement("size", 1.0), 3, r"size: frame 3 .*0\.\.2"),
     ],
 )
 def test_what_is_no_measurement_of_a_declared_metric_is_refused(
@@ -81,16 +81,16 @@ def test_there_is_an_end_to_what_a_cell_may_measure(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(samples, "MOST_STAGES", 2)
     alone, framed = Measurement("size", 1.0), Measurement("size", 1.0, 0)
     assert len(checked(*[alone] * 4, *[framed] * 3)) == 7
-    with pytest.raises(MeasurementError, match="size: more than 4 measurements that belong to no frame"):
+    with pytest.raises(MeasurementError, match=r"size: .* 4 .*no frame"):
         checked(*[alone] * 5)
-    with pytest.raises(MeasurementError, match="size: more than 3 measurements of frames in one cell; at most 1 for"):
+    with pytest.raises(MeasurementError, match=r"size: .* 3 measurements .* 1 for"):
         checked(*[framed] * 4)
     monkeypatch.setattr(samples, "MOST_OF_FRAMES", 2)
-    with pytest.raises(MeasurementError, match=r"more than 2 .* 1 for each of its 3 frames, and 2 in all"):
+    with pytest.raises(MeasurementError, match=r" 2 .* 1 for .* 3 frames, and 2 "):
         checked(*[framed] * 3)
     stages = [Measurement("size", 1.0, stage=stage) for stage in ("encode", "decode", "encode")]
     assert len(checked(*stages, Measurement("error", 1.0))) == 4
-    with pytest.raises(MeasurementError, match="size: more than 2 stages"):
+    with pytest.raises(MeasurementError, match=r"size: .* 2 stages"):
         checked(*stages, alone)
 
 
@@ -137,7 +137,7 @@ def test_samples_are_a_table_of_dictionary_text_and_plain_numbers() -> None:
 def test_another_table_is_refused() -> None:
     sink = pa.BufferOutputStream()
     pq.write_table(pa.table({"metric": ["size"], "value": [1.0]}), sink)
-    with pytest.raises(ValueError, match="its columns are metric, value"):
+    with pytest.raises(ValueError, match="are metric, value"):
         table_from_parquet(bytes(sink.getvalue()))
     with pytest.raises((ValueError, OSError)):
         table_from_parquet(b"no parquet")

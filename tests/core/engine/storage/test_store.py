@@ -54,7 +54,7 @@ def test_no_change_of_a_record_goes_unnoticed() -> None:
         except RecordDamage:
             continue
         assert repr(found) == repr(meaning), f"byte {position} changed the record unseen"
-    with pytest.raises(RecordDamage, match="format 2; this version reads 1"):
+    with pytest.raises(RecordDamage, match=r"format 2; .*reads 1"):
         record_from_bytes(content.replace(b'"schema": 1', b'"schema": 2'))
 
 
@@ -85,7 +85,7 @@ def test_a_record_is_replaced_whole(tmp_path: Path) -> None:
     assert store.read_file(record, "new.txt") == b"new"
     assert sorted(path.name for path in store.record_folder(RECORD.cell_id).iterdir()) == ["new.txt", "record.json"]
     assert store.entries()[RECORD.cell_id].status == "ok"
-    with pytest.raises(StoreError, match="has no record of cell"):
+    with pytest.raises(StoreError, match=f"record of cell {'cd' * 16}"):
         store.read_record("cd" * 16)
 
 

@@ -58,11 +58,11 @@ def test_a_damaged_bitstream_is_noticed_when_it_is_read() -> None:
 
 
 def test_a_file_says_whose_bitstreams_it_holds() -> None:
-    with pytest.raises(BitstreamDamage, match=f"holds the bitstreams of job {JOB}, not of {'1e' * 16}"):
+    with pytest.raises(BitstreamDamage, match=f"job {JOB}, not of {'1e' * 16}"):
         BitstreamFile(filed(b"first"), "1e" * 16)
     earlier = bytearray(filed(b"first"))
     earlier[7] = 1
-    with pytest.raises(BitstreamDamage, match="an earlier version wrote it"):
+    with pytest.raises(BitstreamDamage, match="earlier version"):
         BitstreamFile(bytes(earlier), JOB)
 
 
@@ -84,7 +84,7 @@ def test_frames_are_decoded_by_an_instance_that_encoded_nothing(tmp_path: Path) 
 
 def test_a_file_of_another_length_is_refused() -> None:
     sequence = plain_plugins.RampSequence(plain_plugins.RampParams(frames=3))
-    with pytest.raises(CodingError, match="1 bitstreams for 3 frames of ramp"):
+    with pytest.raises(CodingError, match=r"1 bitstreams for 3 .*ramp"):
         CodedFrames(sequence, plain_plugins.Shift.create(), BitstreamFile(filed(b"x"), JOB), WorkPosition())
 
 
@@ -93,7 +93,7 @@ def test_a_file_of_another_length_is_refused() -> None:
     [
         (None, "NoneType"),
         (np.zeros((4, 5), np.int16), "dtype int16"),
-        (np.zeros((5, 4), np.uint8), r"shape \(5, 4\); the frame has \(4, 5\)"),
+        (np.zeros((5, 4), np.uint8), r"shape \(5, 4\).*\(4, 5\)"),
         (np.zeros((4, 5, 3), np.uint8), r"shape \(4, 5, 3\)"),
     ],
 )

@@ -60,7 +60,7 @@ def test_who_asks_in_order_has_each_packet_decoded_once() -> None:
 
 
 def test_who_asks_for_a_picture_is_told_what_to_do() -> None:
-    codec = Corners.create()
+    codec, page = Corners.create(), "docs/pictures-or-features.md"
     found = coded_features(codec)
     for asked in (
         lambda: found.frame(0),
@@ -70,7 +70,7 @@ def test_who_asks_for_a_picture_is_told_what_to_do() -> None:
         lambda: codec.decode(b""),
         lambda: decoder_of(codec),
     ):
-        with pytest.raises(Unsupported, match=r"corners sends features.*docs/pictures-or-features\.md"):
+        with pytest.raises(Unsupported, match=f"corners sends features.*{page}"):
             asked()
 
 
@@ -80,7 +80,7 @@ def test_who_asks_a_codec_of_pictures_for_features_is_told_what_to_do() -> None:
     write_bitstreams(stream, [b"x"] * len(PICTURES), JOB)
     found = CodedFrames(MemorySequence(PICTURES), codec, BitstreamFile(stream.getvalue(), JOB), WorkPosition())
     for asked in (lambda: found.features(0), lambda: gets_features(codec, "features")):
-        with pytest.raises(Unsupported, match="function sends pictures, not features; leave"):
+        with pytest.raises(Unsupported, match="function sends pictures"):
             asked()
     assert not gets_features(codec, "cta")
     assert gets_features(Corners.create(), "cta")
@@ -98,17 +98,17 @@ def test_a_session_of_a_device_extracts_and_encodes() -> None:
 
 
 def test_a_packet_of_another_frame_is_refused() -> None:
-    with pytest.raises(CodingError, match="packet of frame 1; 0 to 0 were pushed"):
+    with pytest.raises(CodingError, match="frame 1; 0 to 0"):
         coded_features(CountsFromOne.create())
 
 
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (lambda found: None, "the decoder returned NoneType; it returns a FeatureSet"),
-        (lambda found: replace(found, frame=found.frame + 1), "returned frame 2 for the packet of frame 1"),
-        (lambda found: FeatureSet(found.frame, None), "says that frame 1 is missing, though nothing was lost"),
-        (lambda found: FeatureSet(found.frame, [1, 2]), "the decoder returned list; a set has Features"),
+        (lambda found: None, "returned NoneType; .*FeatureSet"),
+        (lambda found: replace(found, frame=found.frame + 1), "frame 2 .*frame 1"),
+        (lambda found: FeatureSet(found.frame, None), "frame 1 is missing"),
+        (lambda found: FeatureSet(found.frame, [1, 2]), "returned list; .*Features"),
     ],
 )
 def test_what_a_decoder_returns_is_checked(answer: Any, words: str) -> None:

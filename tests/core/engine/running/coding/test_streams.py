@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from io import BytesIO
 from typing import Any
@@ -53,7 +54,7 @@ def test_who_asks_a_codec_with_memory_for_one_picture_is_told_what_to_call() -> 
     """An evaluator that was written for codecs of single pictures is unsupported, not broken."""
     codec = Reordered.create()
     for asked in (lambda: codec.encode(ramp(1).read(0).image), lambda: codec.decode(b"")):
-        with pytest.raises(Unsupported, match=r"has memory between frames.*encoder_of\(codec, "):
+        with pytest.raises(Unsupported, match=r"memory .*encoder_of\("):
             asked()
 
 
@@ -78,16 +79,16 @@ def whole(frame: Any, data: Any = b"x", starts: Any = True) -> Packet:
         (lambda push: None, "push returned NoneType; it returns a list of Packets", "encode, frame 0"),
         (lambda push: [b"x"], "push returned a list with bytes; it holds Packets", "encode, frame 0"),
         (lambda push: [whole("0")], "frame and starts are str and bool; they are int and bool", "encode, frame 0"),
-        (lambda push: [whole(push, starts=1)], "frame and starts are int and int", "encode, frame 0"),
+        (lambda push: [whole(push, starts=1)], "int and int", "encode, frame 0"),
         (lambda push: [Packet(b"x", push, True, -1)], "with recovery_frames -1; it is None, or a n", "encode, frame 0"),
         (lambda push: [whole(push + 1)], "a packet of frame 1; 0 to 0 were pushed", "encode, frame 0"),
-        (lambda push: [whole(-1)], "a packet of frame -1; 0 to 0 were pushed", "encode, frame 0"),
+        (lambda push: [whole(-1)], "frame -1; 0 to 0", "encode, frame 0"),
         (lambda push: [whole(0)], "a packet of frame 0 a second time", "encode, frame 1"),
         (lambda push: [whole(push, starts=False)], "the first packet, of frame 0, does not start", "encode, frame 0"),
         (lambda push: [whole(push, b"")], "the packet of frame 0 holds no bytes", "encode, frame 0"),
         (lambda push: [whole(push, "x")], "the packet of frame 0 holds str; a bitstream is bytes", "encode, frame 0"),
         (lambda push: [whole(0)] if push == 2 else [], "2 of 3 frames have no packet after flush: 1, 2", "encode"),
-        (lambda push: [whole(push if push >= 0 else 0)], "flush returned a packet of frame 0 a second time", "encode"),
+        (lambda push: [whole(push if push >= 0 else 0)], "flush .*frame 0 a second", "encode"),
     ],
 )
 def test_what_an_encoder_may_not_do(packets: Any, words: str, where: str) -> None:
@@ -206,7 +207,7 @@ def picture(frame: int, state: Any = "whole", image: Any = None) -> Picture:
         (lambda packet: [packet], "a list with Packet; it holds Pictures"),
         (lambda packet: [picture(packet.frame)] * 2, "frame 0 a second time"),
         (lambda packet: [picture(packet.frame, "concealed")], "says that frame 0 is concealed, though nothing was"),
-        (lambda packet: [Picture(packet.frame, "missing", None)], "says that frame 0 is missing"),
+        (lambda packet: [Picture(packet.frame, "missing", None)], "frame 0 is missing"),
         (lambda packet: [picture(packet.frame, image=np.zeros((4, 4), np.uint8))], r"decode returned shape \(4, 4\)"),
         (lambda packet: [picture(packet.frame, image=[1])], "decode returned list"),
         (lambda packet: [], "all packets and flush gave no picture of this frame"),
@@ -238,9 +239,9 @@ def test_a_session_that_raised_is_not_used_again() -> None:
 def test_a_file_of_another_kind_of_codec_is_made_again() -> None:
     stills = BytesIO()
     write_bitstreams(stills, [b"x"] * 3, JOB)
-    with pytest.raises(BitstreamDamage, match="single pictures; delta codes something else by now"):
+    with pytest.raises(BitstreamDamage, match="single pictures; delta"):
         CodedFrames(ramp(3), Delta.create(), BitstreamFile(stills.getvalue(), JOB), WorkPosition())
-    with pytest.raises(BitstreamDamage, match="a stream; shift codes something else by now"):
+    with pytest.raises(BitstreamDamage, match="a stream; shift"):
         CodedFrames(ramp(3), plain_plugins.Shift.create(), coded_file(Delta.create(), 3), WorkPosition())
 
 
@@ -252,10 +253,13 @@ def test_a_codec_without_memory_sends_each_frame_at_once() -> None:
 
 
 def test_an_encoder_that_holds_frames_back_is_noted() -> None:
-    assert coded(Delta.create(), 7).notes == ()
-    assert coded(Delta.create(hold=1), 7).notes == ("holds back 1 frame (33 ms)",)
-    assert coded(Delta.create(hold=3), 7).notes == ("holds back 3 frames (100 ms)",)
-    assert coded(Reordered.create(), 7).notes == ("holds back 1 frame (33 ms)",)
+    def held(codec: Any) -> list[list[str]]:
+        return [re.findall(r"\d+ \w+", note) for note in coded(codec, 7).notes]
+
+    assert held(Delta.create()) == []
+    assert held(Delta.create(hold=1)) == [["1 frame", "33 ms"]]
+    assert held(Delta.create(hold=3)) == [["3 frames", "100 ms"]]
+    assert held(Reordered.create()) == [["1 frame", "33 ms"]]
 
 
 # storing
@@ -267,7 +271,7 @@ def test_every_flipped_bit_and_every_cut_of_a_stream_is_noticed() -> None:
     assert write_stream(stream, packets, JOB) == 11
     content = stream.getvalue()
     require_damage_noticed(content)
-    with pytest.raises(BitstreamDamage, match=f"holds the bitstreams of job {JOB}"):
+    with pytest.raises(BitstreamDamage, match=f"bitstreams of job {JOB}"):
         BitstreamFile(content, "1e" * 16)
     assert read_all(content) == [b"first", b"x", b"third"]
     assert [packet.frame for packet in BitstreamFile(content, JOB).packets] == [0, 2, 1]
@@ -277,7 +281,7 @@ def test_every_flipped_bit_and_every_cut_of_a_stream_is_noticed() -> None:
 def test_a_stream_that_has_not_one_packet_of_each_frame_is_damaged(frames: tuple[int, int]) -> None:
     stream = BytesIO()
     write_stream(stream, [CodedPacket(b"x", frame, True, 1) for frame in frames], JOB)
-    with pytest.raises(BitstreamDamage, match="not one of each frame"):
+    with pytest.raises(BitstreamDamage, match="one of each"):
         BitstreamFile(stream.getvalue(), JOB)
 
 
@@ -318,7 +322,7 @@ def test_a_frame_that_was_sent_is_given_again_and_later_ones_are_as_if_it_had_no
 def test_a_stream_does_not_go_back() -> None:
     sender = coded(Delta.create(), 12).sender()
     sender.send(7)
-    with pytest.raises(Unsupported, match="frame 3 is to be sent after frame 7, and a stream does not go back"):
+    with pytest.raises(Unsupported, match=r"frame 3 .*after frame 7"):
         sender.send(3)
 
 
@@ -336,5 +340,5 @@ def test_frames_that_are_held_back_cannot_be_sent_as_they_are_chosen() -> None:
     ):
         coded(Delta.create(hold=1), 4).sender().send(0)
     late = Scripted(lambda push: [whole(push)] if push >= 0 else [])
-    with pytest.raises(Unsupported, match="the decoder of scripted holds frames back"):
+    with pytest.raises(Unsupported, match="decoder of scripted"):
         coded(late, 4).sender().send(0)
