@@ -53,6 +53,12 @@ def run(place: Place, *words: str, evaluators: str = "quality") -> Done:
     return done
 
 
+def kept(said: str, codec: str) -> int:
+    """The number of cells that other code of that codec is said to have made."""
+    (count,) = re.findall(rf"codec {codec}: other code .* (\d+) kept cell", said)
+    return int(count)
+
+
 @pytest.fixture
 def place(tmp_path: Path) -> Place:
     """A folder with a finished run, whose plugin was then edited without another version."""
@@ -89,16 +95,17 @@ def test_an_edit_of_a_module_beside_the_codec_is_told(tmp_path: Path) -> None:
         assert ("other code" in place.call("run", "helped.yaml", "--quiet").stderr) == told
         helper.write_text("def prepared(image):\n    return image | 1\n")
     said = place.call("run", "helped.yaml", "--quiet").stderr
-    assert "codec helped: other code made 1 kept cell (ed-one 1: ed_helper.py written since)" in said
+    assert kept(said, "helped") == 1
+    assert f"(ed-one 1: {helper.name} written" in said
     assert "--recompute helped" in said
 
 
 @pytest.mark.slow
 def test_new_cells_on_bitstreams_of_other_code_do_not_hide_it(place: Place) -> None:
     run(place, "--recompute", "quality")
-    assert "codec posterize: other code made 1 kept cell" in run(place).stderr
+    assert kept(run(place).stderr, "posterize") == 1
     run(place, evaluators="quality, features")
-    assert "codec posterize: other code made 2 kept cells" in run(place, evaluators="quality, features").stderr
+    assert kept(run(place, evaluators="quality, features").stderr, "posterize") == 2
 
 
 def test_the_report_says_which_code_made_what(place: Place) -> None:
@@ -107,7 +114,7 @@ def test_the_report_says_which_code_made_what(place: Place) -> None:
     page = (place.folder / "runs/m/report/report.html").read_text()
     rows = re.findall(r"<td[^>]*>codec posterize</td>.*?</tr>", page)
     assert len(rows) == 2
-    assert all("other code made the rest" in row for row in rows)
+    assert all("made the rest" in row for row in rows)
     assert len(re.findall(r"<td[^>]*>codec raw</td>.*?</tr>", page)) == 1
 
 
@@ -123,4 +130,5 @@ def test_records_without_code_are_said_to_be_unknown_in_one_line(place: Place) -
     done = run(place)
     assert "2 of them from before" in done.stdout
     (line,) = [line for line in done.stderr.splitlines() if "unknown" in line]
-    assert line.startswith("2 kept cell(s) were computed before codecbench recorded the code of plugins")
+    assert line.startswith("2 kept cell(s) ")
+    assert "before codecbench recorded" in line
