@@ -147,11 +147,9 @@ def test_a_codec_that_gains_a_parameter_keeps_its_cells_and_one_with_another_def
     assert place.run() == (2, 2)
     assert place.bitstreams() == 2, "nothing asked for bitstreams"
     place.edit(*CHANGED)
-    assert "done before, to do again (1): codec drop: the default of bits was 1 and is 2" in place.call(
-        "plan", "changing.yaml"
-    )
+    assert re.search(r"again \(1\): codec drop: .*bits .* 1 .* 2\b", place.call("plan", "changing.yaml"))
     assert place.run() == (2, 1)
-    assert "1 record(s) will be computed again: codec drop: the default of bits was 1 and is 2" in place.log()
+    assert re.search(r"\b1 record.* again: codec drop: .*bits .* 1 .* 2\b", place.log())
     assert place.column("largest") == ["3.0", "15.0"], "bitstreams of the old default are not used"
     assert place.run() == (2, 2)
 
@@ -186,7 +184,7 @@ def test_cells_are_computed_again_by_name(place: Place) -> None:
     assert all(path.stat().st_mtime_ns != before for path, before in coded.items())
     assert place.run("--recompute", "noise", "--recompute", "drop") == (2, 0)
     out = place.call("run", "changing.yaml", "--recompute", "lost", status=2)
-    assert "nothing to recompute is called 'lost'; did you mean 'loss'?" in out
+    assert re.search("called 'lost'; .*'loss'", out)
     assert "drop, loss, noise" in out
     assert place.run() == (2, 2), "a wrong name removes nothing"
 

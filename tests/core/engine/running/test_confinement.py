@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -552,9 +553,9 @@ def test_where_nothing_confines_nothing_runs(place: Place) -> None:
     words = [sys.executable, "-c", FORBIDDING, "--confine", "run", "m.yaml", "--out", "out"]
     done = subprocess.run(words, cwd=place.folder, env=place.environment(), capture_output=True, text=True, timeout=100)
     assert done.returncode == 3, done.stderr
-    assert "plugins cannot be confined on" in done.stderr
-    assert "the system does not let it: [Errno 28] No space left on device: 'unshare" in done.stderr
-    assert "user.max_user_namespaces" in done.stderr
+    assert "cannot be confined" in done.stderr
+    assert re.search(r"\[Errno 28\] [\w ]+: 'unshare", done.stderr)
+    assert ".max_user_namespaces" in done.stderr
     assert "leave out --confine" in done.stderr
     assert not (place.folder / "out").exists()
 

@@ -234,7 +234,7 @@ def test_the_next_run_mends_what_was_damaged(kind: str, folder: Path, whole: Pat
         assert table(folder) == expected
         said = before.stderr + done.stderr + (folder / "run.log").read_text()
         assert kind == "index" or "damaged" in said or "again" in said, said
-        assert kind != "encoder" or "its note of who encoded it is damaged" in said
+        assert kind != "encoder" or "who encoded it" in said
 
 
 @pytest.mark.thorough
@@ -248,18 +248,18 @@ def test_two_bitstream_files_that_changed_places_are_noticed(folder: Path, plan:
     assert done.returncode == 0
     said = (folder / "run.log").read_text()
     assert said.count("will be encoded again") == 2
-    assert f"holds the bitstreams of job {plan.jobs[1].id}, not of {plan.jobs[0].id}" in said
+    assert f"job {plan.jobs[1].id}, not of {plan.jobs[0].id}" in said
     assert table(folder) == expected
 
 
 @pytest.mark.thorough
 def test_an_environment_of_another_machine_that_is_damaged_is_left_out_every_time(folder: Path, site: Path) -> None:
     path = next((folder / "environment").iterdir())
-    path.rename(path.with_name("0123456789abcdef.json"))
+    foreign = path.rename(path.with_name("0123456789abcdef.json"))
     for _ in range(2):
         done = command(site, "run", "small.yaml", "--out", folder)
         assert done.returncode == 0
-        assert "0123456789abcdef.json is damaged" in done.stderr
+        assert f"{foreign.name} is damaged" in done.stderr
         assert f"it describes environment {path.stem}" in done.stderr
 
 
@@ -317,7 +317,8 @@ def test_a_table_leaves_out_a_record_of_another_shape_and_a_run_makes_it_again(
 @pytest.mark.thorough
 @pytest.mark.parametrize("literal", ["NaN", "1e999", "[" * 100_000])
 def test_what_is_no_json_is_refused(literal: str, folder: Path, site: Path) -> None:
-    (folder / "plan.json").write_text(f'{{"checksum": "", "plan": {literal}}}')
+    path = folder / "plan.json"
+    path.write_text(f'{{"checksum": "", "plan": {literal}}}')
     done = command(site, "table", folder)
     assert done.returncode == 3
-    assert "plan.json is damaged" in done.stderr
+    assert f"{path.name} is damaged" in done.stderr

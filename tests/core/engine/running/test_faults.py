@@ -25,49 +25,49 @@ from codecbench.core.engine.storage.record import RecordDamage
 from codecbench.core.engine.storage.store import Store
 
 CODEC_FAULTS = {
-    "raise": ("failed", "coding failed: encode, frame 2: ZeroDivisionError: divided by nothing"),
-    "full": ("failed", "coding failed: encode, frame 2: OSError: [Errno 28] no room for the codec's own files"),
-    "exit": ("failed", "coding failed: encode, frame 2: SystemExit: leaving"),
-    "leave": ("crashed", "coding failed: encode: it ended its process with status 0"),
-    "segfault": ("crashed", "coding failed: encode: it ended its process by SIGSEGV"),
-    "abort": ("crashed", "coding failed: encode: it ended its process by SIGABRT"),
-    "hang": ("timed_out", "coding failed: no result within 15 s"),
-    "hog": ("failed", "coding failed: encode, frame 2: "),
-    "drip": ("failed", "coding failed: encode, frame 2: "),
-    "text": ("failed", "coding failed: encode, frame 2: encode returned str; a bitstream is bytes"),
-    "empty": ("failed", "coding failed: encode, frame 2: encode returned no bytes"),
+    "raise": ("failed", r"^encode, frame 2: ZeroDivisionError: divided by nothing"),
+    "full": ("failed", r"^encode, frame 2: OSError: \[Errno 28\] no room"),
+    "exit": ("failed", r"^encode, frame 2: SystemExit: leaving"),
+    "leave": ("crashed", r"^encode: .* status 0$"),
+    "segfault": ("crashed", r"^encode: .* SIGSEGV$"),
+    "abort": ("crashed", r"^encode: .* SIGABRT$"),
+    "hang": ("timed_out", r"^no result within 15 s"),
+    "hog": ("failed", r"^encode, frame 2: "),
+    "drip": ("failed", r"^encode, frame 2: "),
+    "text": ("failed", r"^encode, frame 2: encode returned str"),
+    "empty": ("failed", r"^encode, frame 2: encode returned no bytes"),
     "leak": ("ok", ""),
     "fork": ("ok", ""),
     "noise": ("ok", ""),
     "scribble": ("ok", ""),
 }
 DECODE_FAULTS = {
-    "misread": ("failed", "decode, frame 2: no such marker"),
-    "shape": ("failed", "decode, frame 2: decode returned shape (15, 24); the frame has (16, 24)"),
-    "dtype": ("failed", "decode, frame 2: decode returned dtype float64; a decoded frame is uint8"),
-    "nan": ("failed", "decode, frame 2: decode returned dtype float32; a decoded frame is uint8"),
-    "nothing": ("failed", "decode, frame 2: decode returned NoneType; a decoded frame is a numpy array"),
-    "remark": ("failed", "remark: remark returned 7; it returns text"),
-    "memory": ("failed", "decode, frame 2: AttributeError: 'Faulty' object has no attribute 'last_shape'"),
+    "misread": ("failed", r"^decode, frame 2: no such marker$"),
+    "shape": ("failed", r"^decode, frame 2: decode returned .*\(15, 24\).*\(16, 24\)$"),
+    "dtype": ("failed", r"^decode, frame 2: decode returned .*float64.*uint8$"),
+    "nan": ("failed", r"^decode, frame 2: decode returned .*float32.*uint8$"),
+    "nothing": ("failed", r"^decode, frame 2: decode returned NoneType"),
+    "remark": ("failed", r"^remark: remark returned 7"),
+    "memory": ("failed", r"^decode, frame 2: AttributeError: .*'last_shape'$"),
 }
 EVALUATOR_FAULTS = {
     "none": ("ok", ""),
     "nan": ("failed", "evaluate, frame 2: error: NaN without a reason"),
     "reasoned_nan": ("ok", ""),
     "infinite": ("ok", ""),
-    "undeclared": ("failed", "evaluate, frame 2: metric 'surprise' is not declared; declared: error, note"),
-    "text": ("failed", "evaluate, frame 2: error: a value is a number, got str"),
-    "bool": ("failed", "evaluate, frame 2: error: a value is a number, got bool"),
-    "tuple": ("failed", "evaluate, frame 2: yielded tuple; evaluators yield Measurement"),
-    "frame": ("failed", "evaluate, frame 2: error: measured on frame 2 but yielded for frame 7"),
+    "undeclared": ("failed", "evaluate, frame 2: metric 'surprise' .*error, note"),
+    "text": ("failed", "evaluate, frame 2: error: .*got str"),
+    "bool": ("failed", "evaluate, frame 2: error: .*got bool"),
+    "tuple": ("failed", "evaluate, frame 2: yielded tuple"),
+    "frame": ("failed", "evaluate, frame 2: error: .*frame 2 .*frame 7"),
     "raise": ("failed", "evaluate, frame 2: KeyError: 'gone'"),
     "sleep": ("timed_out", "no result within 15 s"),
 }
 WHOLE_FAULTS = {
     "none": ("ok", ""),
     "raise": ("failed", "evaluate, frame 2: RuntimeError: lost the thread"),
-    "folder": ("failed", "artifacts: artifact 'nested' is a folder"),
-    "undeclared_plugin": ("failed", "codec 'faulty' is used but not declared"),
+    "folder": ("failed", "artifacts: .*'nested' is a folder"),
+    "undeclared_plugin": ("failed", "codec 'faulty' .*not declared"),
 }
 
 
@@ -109,8 +109,10 @@ def test_every_codec_fault_costs_its_own_cells_alone(
         if cell.codec.params["fault"] == "drip" and record.status == "crashed":  # seen from outside before its limit
             assert "memory_mb allows 400" in record.reason
             continue
-        assert (record.status, unblamed(record.reason)[: len(reason)]) == (status, reason), cell.codec.label
-        assert "codec faulty of faults 1.0" in record.reason or status == "ok"
+        assert record.status == status, cell.codec.label
+        assert re.search(reason, unblamed(record.reason).removeprefix("coding failed: ")), record.reason
+        assert record.reason.startswith("coding failed: ") or status == "ok"
+        assert "faulty of faults 1.0" in record.reason or status == "ok"
         assert record.reason or status == "ok"
         if status == "ok":
             assert [(one, value) for (one, _, _), value in record.summaries.items()] == [("error", 0.0)]
@@ -129,10 +131,12 @@ def test_every_decoder_fault_names_its_frame(bench: Bench) -> None:
     for cell, record in bench.records(plan).values():
         expected = DECODE_FAULTS.get(cell.codec.params["fault"])
         if expected is not None:
-            assert (record.status, unblamed(record.reason)) == expected
+            assert record.status == expected[0], record.reason
+            assert re.search(expected[1], unblamed(record.reason)), record.reason
             assert "Traceback" in record.traceback
         elif cell.codec.params["fault"] == "jump":
-            assert (record.status, unblamed(record.reason)) == ("crashed", "decode: it ended its process by SIGSEGV")
+            assert record.status == "crashed"
+            assert re.search(r"^decode: .* SIGSEGV$", unblamed(record.reason)), record.reason
             assert "decode_jump" in record.traceback
         else:
             assert record.status == "ok"
@@ -150,7 +154,7 @@ def test_every_evaluator_fault_fails_the_cell(bench: Bench) -> None:
         faults = EVALUATOR_FAULTS if cell.evaluator.name == "wandering" else WHOLE_FAULTS
         status, reason = faults[cell.evaluator.params["fault"]]
         assert record.status == status, record.reason
-        assert reason in unblamed(record.reason)
+        assert re.search(reason, unblamed(record.reason)), record.reason
         if cell.evaluator.params["fault"] == "none" and cell.evaluator.name == "wandering":
             assert record.summaries["error", "", "mean"] == pytest.approx(1.5, abs=0.1)  # 2 bits dropped: 0..3
 
@@ -175,10 +179,7 @@ def test_a_changed_sequence_is_computed_anew(bench: Bench) -> None:
     late = bench.run(plan, "late")
     assert late.statuses == {"failed": 1}
     [(_, record)] = bench.records(plan, "late").values()
-    assert (
-        unblamed(record.reason)
-        == "coding failed: open: stack has changed since the plan was made; run the matrix again"
-    )
+    assert re.search(r"^coding failed: open: stack has changed", unblamed(record.reason))
 
 
 def damage(path: Path, how: str) -> None:
@@ -259,7 +260,7 @@ def test_a_damaged_plan_is_said_to_be_and_written_again(bench: Bench, how: str) 
     bench.run(plan)
     assert bench.store().read_plan() == plan
     damage(bench.folder / "run" / "plan.json", how)
-    with pytest.raises(StoreError, match=r"plan\.json is damaged"):
+    with pytest.raises(StoreError, match=r"plan\.json .*damaged"):
         bench.store().read_plan()
     assert bench.run(plan).kept == 1
     assert bench.store().read_plan() == plan
@@ -277,7 +278,7 @@ def test_a_full_disk_ends_the_run_and_loses_nothing(bench: Bench, monkeypatch: p
 
     monkeypatch.setattr("codecbench.core.engine.storage.store._DURABLE_FROM_S", 0.0)
     monkeypatch.setattr(atomic.os, "fsync", full)
-    with pytest.raises(StoreError, match="No space left on device; all earlier records are kept"):
+    with pytest.raises(StoreError, match=f"{os.strerror(errno.ENOSPC)}; all earlier records"):
         bench.run(plan)
     monkeypatch.setattr(atomic.os, "fsync", fsync)
     assert not list((bench.folder / "run").rglob(".new-*"))
@@ -305,7 +306,7 @@ def small_disk(folder: Path) -> Iterator[None]:
 def test_a_disk_that_is_really_full_loses_nothing(bench: Bench) -> None:
     plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}", "wandering, whole, slow"))
     with small_disk(bench.folder / "disk"):
-        with pytest.raises(StoreError, match="No space left on device"):
+        with pytest.raises(StoreError, match=os.strerror(errno.ENOSPC)):
             bench.run(plan, "disk/run")
         finished = [one.cell_id for one in bench.store("disk/run").entries().values() if one.status == "ok"]
         sound, damaged = bench.store("disk/run").sound_entries(cell.id for cell in plan.cells)
@@ -331,7 +332,7 @@ def test_a_second_process_in_the_folder_is_refused_and_disturbs_nothing(bench: B
         assert time.monotonic() < deadline
         time.sleep(0.02)
     first.send_signal(signal.SIGSTOP)  # so that it holds the folder for as long as this looks
-    with pytest.raises(StoreError, match=rf"is in use by process {first.pid} on .*; wait for it to end or choose"):
+    with pytest.raises(StoreError, match=f"by process {first.pid} on "):
         bench.run(plan)
     first.send_signal(signal.SIGCONT)
     assert first.wait(60) == 0

@@ -253,7 +253,7 @@ def test_job_scripts_of_a_queue_bring_up_workers(bench: Bench, queue: str, monke
     scripts = [path.read_text() for path in kept.glob("*.sh")]
     assert len(scripts) == 2
     marker = {"slurm": "#SBATCH", "pbs": "#PBS"}[queue]
-    assert all(marker in script and "distributed.cli.dask_worker" in script for script in scripts)
+    assert all(marker in script and "cli.dask_worker" in script for script in scripts)
     local = bench.plan(matrix(CODECS, "wandering, whole"))
     bench.run(local, "local")
     assert contents(bench.store("queued"), plan) == contents(bench.store("local"), local)
