@@ -73,7 +73,7 @@ def test_a_matrix_says_who_bd_rates_are_against(tmp_path: Path) -> None:
         ("jpeg", r"anchors: .* got 'jpeg'"),
         ("[]", r"anchors: .* got \[\]"),
         ("[jepg]", r"anchors\[0\]: 'jepg' .*'jpeg'"),
-        ("[jpeg, raw]", r"anchors\[1\]: raw is the baseline"),
+        ("[jpeg, raw]", r"anchors\[1\]: raw .*baseline"),
     ],
 )
 def test_who_cannot_be_an_anchor(anchors: str, words: str, tmp_path: Path) -> None:
