@@ -150,4 +150,4 @@ def test_the_page_beside_the_paper_has_every_table_and_contradiction(run: RunRes
     # The formulas with the paper's conventions give the paper's totals on a frame of the paper's size.
     rows = re.findall(r"^\| ours, model, encode, synthetic \|(.*)\|$", text, re.MULTILINE)
     totals = [614_400, 844_800, 706_560, 337_920, 368_640, 1_228_800, 983_040]
-    assert totals in [numbers(row) for row in rows]
+    assert totals in [numbers(row)[: len(totals)] for row in rows]
