@@ -34,7 +34,7 @@ COMMANDS = {
     "apply": ("codecbench.cli.apply:apply", "Print what one pastes into a robot for the setting that a run takes."),
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
-    "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or cannot tell."),
+    "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or inconclusive."),
     "status": ("codecbench.cli.plan:status", "Show how far a run has got, also while it is running."),
     "reproduce": ("codecbench.cli.report:reproduce", "Put the paper's tables and figures beside a run."),
     "data": ("codecbench.cli.data:data", "List, fetch and find datasets."),

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 _HEADS = ("sequence", "codec", "setting", "evaluator", "metric", "before", "after", "change", "verdict", "note")
 _MOST_ROWS: Final = 20
 _LONG_NAME: Final = 24
-_BY_INTEREST: Final = ("worse", "changed", "better", "cannot tell", "same")
+_BY_INTEREST: Final = ("worse", "changed", "better", "inconclusive", "same")
 """Verdicts in the order in which readers look for them."""
 _FAILING = {
     "worse": {"worse"},
     "changed": {"worse", "better", "changed"},
-    "cannot-tell": {"worse", "cannot tell"},
+    "inconclusive": {"worse", "inconclusive"},
     "never": set[str](),
 }
 
@@ -71,7 +71,7 @@ def compare(
     Sizes, quality and counts are compared exactly. Times are compared statistically over repeats (at least five), in
     units of a fixed piece of work that was timed beside them. Wall time counts as changed only where processor time
     agrees, and a change of less than 10 microseconds a frame counts as none. Between different machines the verdict on
-    times is “cannot tell”, with a warning. Runs with nothing in common to compare make the exit status 1, too.
+    times is “inconclusive”, with a warning. Runs with nothing in common to compare make the exit status 1, too.
     """
     first = comparison.read_snapshot(before)
     if save is not None:

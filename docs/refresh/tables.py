@@ -61,7 +61,7 @@ CODING: Final = RATE | {
     "CR vs PNG %": Column("quality.cr_percent.mean"),
     **PSNR,
     "SSIM": Column("quality.ssim_matlab.mean"),
-    "features kept": Column("features.keypoint_repeatability.mean"),
+    "keypoint repeatability": Column("features.keypoint_repeatability.mean"),
     "search ms": Column("timing.prepare_cpu_ms.median"),
     "encode ms": Column("timing.encode_cpu_ms.median"),
     "decode ms": Column("timing.decode_cpu_ms.median"),
@@ -256,7 +256,7 @@ def uses(run: RunResult) -> Iterator[str]:
 
 
 def efforts(run: RunResult) -> Iterator[str]:
-    """Of codecs with two curves what the slower one saves for equal features kept, and the encoding times of both."""
+    """Of codecs with two curves what the slower one saves for equal keypoint repeatability, and the encoding times of both."""
     (ranking,) = [each for each in rankings(run, brief=True) if len(each.sequences) > 1]
     ms = {ranked.curve: _encode_ms(run, ranked) for ranked in ranking.ranked}
     rows = []
@@ -288,9 +288,9 @@ def followers(run: RunResult) -> Iterator[str]:
     }  # fmt: skip
     cheaper = {
         "PSNR": "quality.psnr_gray_db", "SSIM": "quality.ssim_matlab",
-        "features kept, the SLAM's ORB": "features.keypoint_repeatability",
+        "keypoint repeatability, the SLAM's ORB": "features.keypoint_repeatability",
         "matches kept, the SLAM's ORB": "features.matches_kept",
-        "features kept, OpenCV's ORB": "features.opencv_keypoint_repeatability",
+        "keypoint repeatability, OpenCV's ORB": "features.opencv_keypoint_repeatability",
         "matches kept, OpenCV's ORB": "features.opencv_matches_kept",
     }  # fmt: skip
     lossy = run.wide[np.isfinite(run.wide["quality.psnr_gray_db.mean"])]

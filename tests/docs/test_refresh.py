@@ -155,7 +155,7 @@ def test_a_run_becomes_a_block_with_the_stamp_of_its_plugins(root: Path, tmp_pat
     columns = {
         "bit/px": wide["quality.rate_bpp.mean"],
         "PSNR dB": wide["quality.psnr_gray_db.mean"],
-        "features kept": wide["features.keypoint_repeatability.mean"],
+        "keypoint repeatability": wide["features.keypoint_repeatability.mean"],
     }
     for head, expected in columns.items():
         shown = pd.Series([float(row[heads.index(head)].replace("∞", "inf")) for row in rows])

@@ -1,4 +1,4 @@
-"""Compares two runs series by series: better, worse, same, changed, or cannot tell.
+"""Compares two runs series by series: better, worse, same, changed, or inconclusive.
 
 Repeatable values (sizes, quality, operation counts) are compared exactly. Times are divided by the yardstick that
 their metric names, which removes the machine's fluctuation, and tested over repeats. A change of times counts if the
@@ -31,7 +31,7 @@ from codecbench.core.engine.identity import json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
 from codecbench.core.engine.text import clean_line, clean_value
 
-Verdict = Literal["better", "worse", "same", "changed", "cannot tell"]
+Verdict = Literal["better", "worse", "same", "changed", "inconclusive"]
 
 Key = tuple[str, str, str, str, str]
 """Sequence, codec, setting, evaluator, metric."""
@@ -95,7 +95,7 @@ def compare(
         old, new = first.get(key), second.get(key)
         if old is None or new is None:
             missing = "not in the first run" if old is None else "not in the second run"
-            return Comparison(key, math.nan, math.nan, math.nan, "cannot tell", missing)
+            return Comparison(key, math.nan, math.nan, math.nan, "inconclusive", missing)
         unit = related_key(key, "in_units_of")
         scaled = [_scale(series, known.get(unit)) for series, known in ((old, first), (new, second))]
         return _compare_series(old, new, scaled[0], scaled[1], same_machine, time_tolerance)
@@ -118,7 +118,7 @@ def _confirm(claim: Comparison, witness: Comparison) -> Comparison:
     if claim.verdict not in ("better", "worse") or claim.verdict == witness.verdict:
         return claim
     note = f"{witness.key[4]}: {witness.verdict} ({witness.change:+.1%}); other programs may have taken the rest"
-    return replace(claim, verdict="cannot tell", note=note)
+    return replace(claim, verdict="inconclusive", note=note)
 
 
 def _scale(series: Series, yardstick: Series | None) -> np.ndarray:
@@ -136,7 +136,7 @@ def _compare_series(
 ) -> Comparison:
     shown = (_middle(old.values), _middle(new.values))
     if old.fingerprint != new.fingerprint:
-        return Comparison(old.key, *shown, math.nan, "cannot tell", "the sequences have other frames")
+        return Comparison(old.key, *shown, math.nan, "inconclusive", "the sequences have other frames")
     if (old.status == "ok") != (new.status == "ok"):
         verdict: Verdict = "better" if new.status == "ok" else "worse"
         worse = new if new.status != "ok" else old
@@ -167,20 +167,20 @@ def _compare_times(
         return Comparison(old.key, *shown, 0.0, "same", "every time is the same, as in copies of one run")
     few = min(len(before), len(after))
     if few == 0 or (before <= 0).any() or (after <= 0).any():
-        return Comparison(old.key, *shown, math.nan, "cannot tell", "no times on one side")
+        return Comparison(old.key, *shown, math.nan, "inconclusive", "no times on one side")
     change = float(np.median(after) / np.median(before) - 1.0)
     if few < LEAST_REPEATS:
-        return Comparison(old.key, *shown, change, "cannot tell", f"{few} repeats; at least {LEAST_REPEATS} are needed")
+        return Comparison(old.key, *shown, change, "inconclusive", f"{few} repeats; at least {LEAST_REPEATS} are needed")
 
     chance = float(scipy.stats.mannwhitneyu(before, after, method="exact").pvalue)
     note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"
     if not same_machine:
-        return Comparison(old.key, *shown, change, "cannot tell", f"another machine; {note}")
+        return Comparison(old.key, *shown, change, "inconclusive", f"another machine; {note}")
     too_short = _MILLISECONDS in (old.unit, new_unit) and abs(change) * shown[0] < LEAST_CHANGE_MS
     if abs(change) <= tolerance or too_short:
         return Comparison(old.key, *shown, change, "same", note)
     if chance > SIGNIFICANCE:
-        return Comparison(old.key, *shown, change, "cannot tell", note)
+        return Comparison(old.key, *shown, change, "inconclusive", note)
     slower = (change > 0) == (old.better == "lower")
     return Comparison(old.key, *shown, change, "worse" if slower else "better", note)
 

@@ -68,7 +68,7 @@ def _metrics(prefix: str, detector: str, column_header: str) -> tuple[Metric, ..
     return (
         Metric(
             f"{prefix}keypoint_repeatability", "1", "higher", "share of the original's keypoints found again",
-            role="task", headline=bool(column_header), label=f"features kept, {detector}", column_header=column_header,
+            role="task", headline=bool(column_header), label=f"keypoint repeatability, {detector}", column_header=column_header,
         ),
         Metric(
             f"{prefix}descriptor_distance_bits", "bits", "lower",
@@ -125,7 +125,7 @@ class Features(SequenceEvaluator[FeaturesParams]):
         current = self._keypoints(coded, "", SlamDetector(self.params.keypoints))
         repeated = current.partners >= 0
         share = 100.0 * np.count_nonzero(repeated) / max(1, len(repeated))
-        note = f"{np.count_nonzero(repeated)} of {len(repeated)} keypoints kept ({share:.0f} %), as in “features kept”"
+        note = f"{np.count_nonzero(repeated)} of {len(repeated)} keypoints repeated ({share:.0f} %)"
         return KeypointOverlay(current.original.places[:, :2], repeated, note)
 
     def _keypoints(self, frame: CodedFrame, prefix: str, detector: Detector) -> FrameKeypoints:

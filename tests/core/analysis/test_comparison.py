@@ -77,7 +77,7 @@ def timed(rng: np.random.Generator, factor: float, drift: float, repeats: int = 
 def test_equal_code_raises_no_alarm_in_twenty_trials_on_a_machine_that_drifts(rng: np.random.Generator) -> None:
     for _ in range(20):
         one = only(compare(timed(rng, 1.0, 0.15), timed(rng, 1.0, 0.0)))
-        assert one.verdict in ("same", "cannot tell"), one
+        assert one.verdict in ("same", "inconclusive"), one
 
 
 def test_a_slowdown_of_ten_percent_is_caught_on_a_machine_that_drifts(rng: np.random.Generator) -> None:
@@ -102,7 +102,7 @@ def test_rates_of_work_are_better_when_higher(rng: np.random.Generator) -> None:
     assert only(compare(snapshot(fast), snapshot(slow))).verdict == "worse"
 
 
-def test_few_repeats_and_other_machines_and_frames_cannot_tell(rng: np.random.Generator) -> None:
+def test_few_repeats_and_other_machines_and_frames_are_inconclusive(rng: np.random.Generator) -> None:
     few = compare(timed(rng, 1.0, 0.0, repeats=4), timed(rng, 2.0, 0.0, repeats=4))
     assert "at least 5" in only(few).note
     elsewhere = replace(timed(rng, 2.0, 0.0), machines=("another",))
@@ -136,7 +136,7 @@ def test_a_baseline_file_survives_and_a_damaged_one_is_refused(tmp_path: Path) -
         read_snapshot(tmp_path / "nothing")
 
 
-@pytest.mark.parametrize(("cpu_factor", "verdict"), [(1.0, "cannot tell"), (1.3, "worse")])
+@pytest.mark.parametrize(("cpu_factor", "verdict"), [(1.0, "inconclusive"), (1.3, "worse")])
 def test_time_on_the_wall_needs_the_support_of_processor_time(
     rng: np.random.Generator, cpu_factor: float, verdict: str
 ) -> None:
@@ -151,7 +151,7 @@ def test_time_on_the_wall_needs_the_support_of_processor_time(
     )
     found = {one.key[4]: one for one in compare(snapshot(wall, rate, cpu), after)}
     assert found["wall"].verdict == found["pace"].verdict == verdict
-    assert ("other programs" in found["wall"].note) == (verdict == "cannot tell")
+    assert ("other programs" in found["wall"].note) == (verdict == "inconclusive")
     assert only(compare(snapshot(wall, cpu), after, metrics=["*.wall"])).verdict == verdict
 
 
@@ -175,4 +175,4 @@ def test_a_run_beside_itself_is_the_same_times_too() -> None:
     times = series("t", (1.25, 1.5), better="lower", repeatable=False, unit="ms")
     assert only(compare(snapshot(times), snapshot(times))).verdict == "same"
     other = replace(times, values=(1.25, 1.5000001))
-    assert only(compare(snapshot(times), snapshot(other))).verdict == "cannot tell"
+    assert only(compare(snapshot(times), snapshot(other))).verdict == "inconclusive"

@@ -126,7 +126,7 @@ def test_what_is_marked_on_a_frame_is_what_the_table_says_is_kept(run: RunResult
         (share,) = frames.loc[
             (frames["metric"] == "keypoint_repeatability") & (frames["frame"] == shown["frame"]), "value"
         ]
-        kept, every = map(int, re.match(r"(\d+) of (\d+) keypoints kept", shown["note"]).groups())  # type: ignore[union-attr]
+        kept, every = map(int, re.match(r"(\d+) of (\d+) keypoints repeated", shown["note"]).groups())  # type: ignore[union-attr]
         assert kept / every == pytest.approx(share, abs=1e-12)
 
 

@@ -52,7 +52,7 @@ def test_what_is_marked_is_what_is_measured(tmp_path: Path) -> None:
     assert 0 < share < 1
     assert marks.kept.mean() == pytest.approx(share, abs=1e-12)
     assert marks.places.shape == (len(marks.kept), 2)
-    assert marks.note.startswith(f"{marks.kept.sum()} of {len(marks.kept)} keypoints kept")
+    assert marks.note.startswith(f"{marks.kept.sum()} of {len(marks.kept)} keypoints repeated")
 
 
 @EACH_FINDER
