@@ -248,8 +248,8 @@ def _views(
             frame = coded.frame(index)
             frames.append(frame_view(frame, index, shape.size, evaluator.marks(frame) if evaluator else None))
     except (CodecbenchError, IndexError, OSError, ValueError) as error:
-        where = f"{setting.name} {setting.label} on {entry.name}"
-        log.warning("no image of %s: %s", where, clean_line(str(error)))
+        operating_point = f"{setting.name} {setting.label}".strip()
+        log.warning("no image of %s on %s: %s", operating_point, entry.name, clean_line(str(error)))
         return []
     finally:
         plugins.tidy()

@@ -229,7 +229,8 @@ class Channel:
             signal.alarm(0)
         try:
             self._send(answer)
-        except (TypeError, ValueError, AttributeError, RecursionError) as error:
+        except (TypeError, ValueError, AttributeError, RecursionError, OSError) as error:
+            # An answer of types that cannot be sent, or larger than files may become here, which memory counts as.
             self._send({"number": number, **self._error_message(error)})
 
     def _run_call(self, message: dict[str, Any]) -> Any:
