@@ -256,7 +256,7 @@ def uses(run: RunResult) -> Iterator[str]:
 
 
 def efforts(run: RunResult) -> Iterator[str]:
-    """Of codecs with two curves what the slower one saves for equal keypoint repeatability, and the encoding times of both."""
+    """Of codecs with two curves what the slower saves for equal keypoint repeatability, and both encoding times."""
     (ranking,) = [each for each in rankings(run, brief=True) if len(each.sequences) > 1]
     ms = {ranked.curve: _encode_ms(run, ranked) for ranked in ranking.ranked}
     rows = []

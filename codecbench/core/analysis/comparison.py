@@ -170,7 +170,8 @@ def _compare_times(
         return Comparison(old.key, *shown, math.nan, "inconclusive", "no times on one side")
     change = float(np.median(after) / np.median(before) - 1.0)
     if few < LEAST_REPEATS:
-        return Comparison(old.key, *shown, change, "inconclusive", f"{few} repeats; at least {LEAST_REPEATS} are needed")
+        note = f"{few} repeats; at least {LEAST_REPEATS} are needed"
+        return Comparison(old.key, *shown, change, "inconclusive", note)
 
     chance = float(scipy.stats.mannwhitneyu(before, after, method="exact").pvalue)
     note = f"p = {chance:.3f} over {len(before)} and {len(after)} repeats"

@@ -68,7 +68,8 @@ def _metrics(prefix: str, detector: str, column_header: str) -> tuple[Metric, ..
     return (
         Metric(
             f"{prefix}keypoint_repeatability", "1", "higher", "share of the original's keypoints found again",
-            role="task", headline=bool(column_header), label=f"keypoint repeatability, {detector}", column_header=column_header,
+            role="task", headline=bool(column_header), label=f"keypoint repeatability, {detector}",
+            column_header=column_header,
         ),
         Metric(
             f"{prefix}descriptor_distance_bits", "bits", "lower",
