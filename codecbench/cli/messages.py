@@ -6,12 +6,10 @@ import errno
 import os
 import shutil
 import sys
-import tempfile
 import textwrap
 import traceback
 from contextlib import suppress
 from enum import IntEnum
-from pathlib import Path
 from typing import Final
 
 import click
@@ -121,13 +119,15 @@ def _save_traceback(error: BaseException) -> str:
     """Write the traceback to a file; return a line that names the file or says how to see the traceback."""
     if os.environ.get(DEBUG):
         return ""
+    import tempfile  # only such an error needs it, and help is to be quick
+
     try:
         handle, name = tempfile.mkstemp(prefix="codecbench-fault-", suffix=".txt")
         with os.fdopen(handle, "w", encoding="utf-8") as stream:
             stream.write("".join(traceback.format_exception(error)))
     except OSError:
         return f"\n{DEBUG}=1 shows where"
-    return f"\nthe traceback is in {Path(name)}; please report the error with that file"
+    return f"\nthe traceback is in {name}; please report the error with that file"
 
 
 def say(text: str, *, indent: int = 0, err: bool = False, fg: str | None = None, bold: bool | None = None) -> None:
