@@ -15,7 +15,7 @@ import argparse
 import hashlib
 import math
 import os
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Final
 
@@ -30,10 +30,12 @@ from codecbench.plugins.datasets.calibration import miscalibrate
 from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS
 from codecbench.plugins.datasets.tum import Tum
-from codecbench.plugins.evaluators.trajectory.alignment import Undefined, align, associate
-from codecbench.plugins.evaluators.trajectory.errors import position_errors, rms, scale_slip, scales_along
+from codecbench.plugins.evaluators.trajectory.alignment import Pairs, Undefined, align, associate
+from codecbench.plugins.evaluators.trajectory.errors import part_scales, position_errors, rms
 
 REAL: Final = ("fr3_office_715", "sevenscenes_400", "kitti00_half")
+DRIFT_PARTS: Final = 5
+"""Parts of a path whose scales are compared: enough to see a slip in the middle, few enough to span a turn each."""
 DRIFT_HEADS: Final = ("sequence", "codec", "starts", "calibration error", "forward %", "reversed %", "symmetric %",
                       "by order %", "scatter", "median mm", "with a pose %")  # fmt: skip
 HEADS: Final = ("sequence", "codec", "starts", "wait", "tracked %", "median mm", "worst", "worst / median", "slip %",
@@ -51,6 +53,19 @@ def system_of(sequence: FrameSequence, options: slam.Options | None = None, erro
 def path_of(result: slam.Result) -> Trajectory:
     """The path of the largest map."""
     return Trajectory(result.trajectory.timestamps_s, result.trajectory.world_from_camera)
+
+
+def scales_along(pairs: Pairs) -> list[float]:
+    """ln of true over estimated scale in each of the DRIFT_PARTS parts of the path.
+
+    Parts have equal lengths of the true path, so the speed of the camera does not matter. Raises Undefined for fewer
+    than three poses in a part, or if the camera does not move in one.
+    """
+    steps_m = np.linalg.norm(np.diff(pairs.reference.positions_world, axis=0), axis=1)
+    travelled_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    ends = np.searchsorted(travelled_m, travelled_m[-1] * np.arange(DRIFT_PARTS + 1) / DRIFT_PARTS)
+    ends[-1] = len(pairs)
+    return part_scales(pairs, tuple(slice(int(first), int(last)) for first, last in pairwise(ends)))
 
 
 def error_m(found: Trajectory, truth: Trajectory | None, tolerance_s: float = 0.02) -> float:
@@ -97,7 +112,8 @@ def outcome(sequence: FrameSequence, frames: Image, start: int, error: float = 0
     share = len(path) / max(len(frames) - start - wait, 1)
     assert sequence.ground_truth is not None
     try:
-        slip = scale_slip(associate(path, sequence.ground_truth, 0.02))
+        scales = scales_along(associate(path, sequence.ground_truth, 0.02))
+        slip = max(scales) - min(scales)
     except Undefined:
         slip = math.nan
     return [wait, share, error_m(path, sequence.ground_truth), slip, len(result.maps), len(result.loops)]

@@ -94,11 +94,6 @@ class Metric:
         object.__setattr__(self, "column_header", self.column_header or self.label)
         object.__setattr__(self, "display_unit", self.display_unit or self.unit)
 
-    @property
-    def heading(self) -> str:
-        """The label with the displayed unit: `PSNR [dB]`."""
-        return f"{self.label} [{self.display_unit}]" if self.display_unit not in ("", "1") else self.label
-
     def _plain_name(self) -> str:
         """Return the name in words, without the unit at its end."""
         words = self.name.split("_")

@@ -4,8 +4,7 @@ Conventions of the whole package: matrices act on columns, `a_from_c = a_from_b 
 matrix [[R, t], [0, 1]], a similarity a (4, 4) matrix [[s R, t], [0, 1]] with s > 0. Tangent vectors hold the
 translational part first: (v, w) in se(3), (v, w, sigma) in sim(3), where s = exp(sigma).
 
-Every function here is compiled by numba and may be called from other compiled code, except `umeyama`, which checks
-what it is given first; `align_points` is its kernel.
+Every function here is compiled by numba and may be called from other compiled code.
 """
 
 from __future__ import annotations
@@ -188,7 +187,12 @@ def se3_inverse(motion: Array) -> Array:
 
 @compiled
 def align_points(points_a: Array, points_b: Array, with_scale: bool) -> tuple[float, Array, Array]:
-    """Return scale, rotation, translation that minimize sum |a - (s R b + t)|^2; see `umeyama`, which checks first."""
+    """Return (scale, rotation (3, 3), translation (3,)) of the similarity `a_from_b` nearest to pairs of points.
+
+    `points_a`, `points_b` (N, 3), N >= 3, not on one line: the same points in two frames. It minimizes
+    sum |a - (s R b + t)|^2; without scale, s is 1. Source: Umeyama, PAMI 13(4), 1991, equations 38-42,
+    doi:10.1109/34.88573.
+    """
     count = points_a.shape[0]
     mean_a, mean_b = np.zeros(3), np.zeros(3)
     for i in range(count):
@@ -210,24 +214,3 @@ def align_points(points_a: Array, points_b: Array, with_scale: bool) -> tuple[fl
     rotation = u @ vt
     scale = singular.sum() / variance_b if with_scale and variance_b > 0.0 else 1.0
     return scale, rotation, mean_a - scale * (rotation @ mean_b)
-
-
-def umeyama(points_a: Array, points_b: Array, with_scale: bool = True) -> tuple[float, Array, Array]:
-    """Return (scale, rotation (3, 3), translation (3,)) of the similarity `a_from_b` nearest to pairs of points.
-
-    `points_a`, `points_b` (N, 3), N >= 3: the same points in two frames, a = s R b + t. Without scale, s is 1.
-    Raises ValueError for fewer than three pairs, values that are not finite, or points on one line.
-    Source: Umeyama, PAMI 13(4), 1991, equations 38-42, doi:10.1109/34.88573.
-    """
-    points_a = np.ascontiguousarray(points_a, dtype=np.float64)
-    points_b = np.ascontiguousarray(points_b, dtype=np.float64)
-    if points_a.shape != points_b.shape or points_a.ndim != 2 or points_a.shape[1] != 3 or len(points_a) < 3:
-        raise ValueError(f"umeyama: got shapes {points_a.shape} and {points_b.shape}; both must be (N, 3), N >= 3")
-    if not (np.isfinite(points_a).all() and np.isfinite(points_b).all()):
-        raise ValueError("umeyama: a coordinate is not finite")
-    for name, points in (("points_a", points_a), ("points_b", points_b)):
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if spread[1] <= 1e-9 * max(spread[0], float(np.abs(points).max()) * 1e-3):
-            raise ValueError(f"umeyama: {name} lie on one line, so the rotation about it is undetermined")
-    scale, rotation, translation = align_points(points_a, points_b, with_scale)
-    return float(scale), rotation, translation

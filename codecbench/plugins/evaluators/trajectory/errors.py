@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,6 @@ from codecbench.plugins.evaluators.trajectory.alignment import (
     align_any_turn,
     nearest_stamps,
 )
-
-SLIP_PARTS: Final = 5
-"""Parts of a path whose scales are compared: enough to see a slip in the middle, few enough to span a turn each."""
 
 
 class RelativeErrors(NamedTuple):
@@ -101,33 +97,11 @@ def scale_drift(pairs: Pairs) -> float:
     Raises Undefined for fewer than three poses in a third, or if the camera does not move in one.
     """
     third = len(pairs) // 3
-    early, late = _scales(pairs, (slice(0, third), slice(len(pairs) - third, len(pairs))))
+    early, late = part_scales(pairs, (slice(0, third), slice(len(pairs) - third, len(pairs))))
     return abs(late - early)
 
 
-def scale_slip(pairs: Pairs) -> float:
-    """ln(s_most / s_least): the change of the map's scale along the path.
-
-    Raises Undefined as `scales_along` does.
-    """
-    scales = scales_along(pairs)
-    return max(scales) - min(scales)
-
-
-def scales_along(pairs: Pairs) -> list[float]:
-    """ln of true over estimated scale in each of the SLIP_PARTS parts of the path.
-
-    Parts have equal lengths of the true path, so the speed of the camera does not matter. Raises Undefined for fewer
-    than three poses in a part, or if the camera does not move in one.
-    """
-    steps_m = np.linalg.norm(np.diff(pairs.reference.positions_world, axis=0), axis=1)
-    travelled_m = np.concatenate([[0.0], np.cumsum(steps_m)])
-    ends = np.searchsorted(travelled_m, travelled_m[-1] * np.arange(SLIP_PARTS + 1) / SLIP_PARTS)
-    ends[-1] = len(pairs)
-    return _scales(pairs, tuple(slice(int(first), int(last)) for first, last in pairwise(ends)))
-
-
-def _scales(pairs: Pairs, parts: tuple[slice, ...]) -> list[float]:
+def part_scales(pairs: Pairs, parts: tuple[slice, ...]) -> list[float]:
     """ln of the scale of each part, the ratio of the spreads of true and estimated positions about their means.
 
     This is the symmetric scale of Horn, JOSA A 4(4), 1987, doi:10.1364/JOSAA.4.000629, section 2.E.
