@@ -84,14 +84,16 @@ class Display:
         self._lines = threading.Thread(target=self._print_every_minute, daemon=True) if lines else None
 
     def __enter__(self) -> Display:
-        self._bar.start()
         if self._lines is not None:
-            self._lines.start()
+            self._lines.start()  # and no bar, which would leave an empty line
+        else:
+            self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
-        self._bar.stop()
+        if self._lines is None:
+            self._bar.stop()
         for reason, count in self._reasons.items():
             if count > 1:
                 cells = "1 more cell has" if count == 2 else f"{count - 1} more cells have"

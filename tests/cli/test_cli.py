@@ -6,8 +6,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -19,6 +17,7 @@ import pytest
 from click.testing import CliRunner
 from distributions import register
 from project import ROOT, SUPPORT
+from warm_command import run_warm
 
 import codecbench
 from codecbench.cli import COMMANDS, cli
@@ -53,8 +52,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def call(place: Path, *words: str, status: int = 0, **variables: str) -> str:
     """Standard output of a command, after checking its exit status."""
     environment = {**os.environ, "PYTHONPATH": str(place / "site"), "COLUMNS": "200", **variables}
-    command = [sys.executable, "-m", "codecbench", *words]
-    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=600)
+    done = run_warm(words, place, environment)
     assert done.returncode == status, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout if status == 0 else done.stdout + done.stderr

@@ -6,10 +6,9 @@ The system refuses as it would on a full or read-only disk: by a limit on the si
 from __future__ import annotations
 
 import os
-import resource
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -67,11 +66,6 @@ def is_refused(done: Done, *said: str) -> None:
         assert text in done.stderr
 
 
-def small_files(size: int) -> Callable[[], None]:
-    """No file of the process may become larger than `size` bytes."""
-    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-
 OUTPUTS = [
     "table runs/tiny --format csv --out new/kept",
     "table runs/tiny --format parquet --out new/kept",
@@ -91,7 +85,7 @@ def test_an_output_that_does_not_fit_leaves_what_was_there(place: Place, words: 
     new.mkdir()
     if there_before:
         (new / "kept").write_text("of before")
-    is_refused(place.call(*words.split(), limits=small_files(8)), "new/kept: File too large; ", "ulimit -f")
+    is_refused(place.call(*words.split(), most_bytes=8), "new/kept: File too large; ", "ulimit -f")
     assert {path.name: path.read_text() for path in new.iterdir()} == ({"kept": "of before"} if there_before else {})
 
 
@@ -111,7 +105,7 @@ FOLDERS = [
 def test_figures_and_corpora_that_do_not_fit_leave_no_part(place: Place, words: str, first: str) -> None:
     new = place.folder / "new"
     shutil.rmtree(new, ignore_errors=True)
-    is_refused(place.call(*words.split(), limits=small_files(8)), f"{first}: File too large")
+    is_refused(place.call(*words.split(), most_bytes=8), f"{first}: File too large")
     assert [path for path in new.rglob("*") if path.is_file()] == []
 
 
@@ -216,7 +210,7 @@ def test_a_run_that_cannot_write_says_so_and_the_next_one_completes_it(
     "size", [0, pytest.param(40, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.slow)]
 )
 def test_a_run_on_a_disk_that_is_full_at_the_start_says_so(place: Place, tmp_path: Path, size: int) -> None:
-    done = place.call("run", "tiny.yaml", "--out", str(tmp_path / "run"), limits=small_files(size))
+    done = place.call("run", "tiny.yaml", "--out", str(tmp_path / "run"), most_bytes=size)
     if size == 0:  # not even a temporary file can be made, which comes before the run folder
         is_refused(done, "No usable temporary directory", "; make room in one of them, or set TMPDIR to a folder")
     else:
@@ -228,7 +222,7 @@ def test_no_room_for_temporary_files_is_told_before_any_worker_starts(place: Pla
     """The plan and the log fit into files of this size; what workers may need for temporary files does not."""
     (tmp_path / "temporary").mkdir()
     arguments = ("run", "tiny.yaml", "--out", str(tmp_path / "run"))
-    done = place.call(*arguments, limits=small_files(30_000), TMPDIR=str(tmp_path / "temporary"))
+    done = place.call(*arguments, most_bytes=30_000, TMPDIR=str(tmp_path / "temporary"))
     is_refused(done, str(tmp_path / "temporary"), "File too large")
     assert "expired" not in done.output
     assert list((tmp_path / "temporary").iterdir()) == []

@@ -5,15 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from distributions import register
 from project import SUPPORT
-
-COMMAND = Path(sys.executable).parent / "codecbench"
+from warm_command import COMMAND, run_warm
 
 TINY = """
 version: 1
@@ -42,17 +39,9 @@ class Place:
         paths = os.pathsep.join([str(self.site), str(Path(__file__).parent)])
         return {**os.environ, "PYTHONPATH": paths, "COLUMNS": "200", **variables}
 
-    def call(self, *words: str, timeout: float = 300, limits: Any = None, **variables: str) -> Done:
-        """Run `codecbench WORDS`. limits: called in the new process first."""
-        done = subprocess.run(
-            [str(COMMAND), *words],
-            cwd=self.folder,
-            env=self.environment(**variables),
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-            preexec_fn=limits,
-        )
+    def call(self, *words: str, timeout: float = 300, most_bytes: int | None = None, **variables: str) -> Done:
+        """Run `codecbench WORDS`. most_bytes: limit of the size of files."""
+        done = run_warm([*words], self.folder, self.environment(**variables), timeout, most_bytes)
         return Done(done.returncode, done.stdout, done.stderr)
 
     def start(self, *words: str, **variables: str) -> subprocess.Popen[str]:

@@ -7,8 +7,6 @@ import io
 import os
 import re
 import shutil
-import subprocess
-import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from distributions import THIRD_PARTY, register
+from warm_command import run_warm
 
 DOCS = THIRD_PARTY.parent.parent / "docs"
 GUIDES = {
@@ -51,8 +50,7 @@ def call(request: pytest.FixtureRequest, tmp_path: Path) -> Call:
 
     def codecbench(*words: str, status: int = 0) -> str:
         environment = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "200"}
-        command = [sys.executable, "-m", "codecbench", *words]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+        done = run_warm(words, tmp_path, environment)
         assert done.returncode == status, done.stdout + done.stderr
         return done.stdout + done.stderr if status else done.stdout
 

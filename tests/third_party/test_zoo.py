@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +21,7 @@ import pytest
 from codecbench_zoo.cases import Case, cases
 from distributions import install_source, install_zoo
 from doors import DOORS, source
+from warm_command import run_warm
 
 from codecbench.core.engine.storage.samples import table_from_parquet
 from codecbench.core.engine.storage.store import Store
@@ -96,8 +96,7 @@ def call(place: Path, *words: str, site: str = "", **variables: str) -> subproce
     environment["ZOO_PLACE"] = str(place)
     if site:
         environment["PYTHONPATH"] = str(place / site)
-    command = [sys.executable, "-m", "codecbench", *words]
-    return subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=900)
+    return run_warm(words, place, environment, 900)
 
 
 def run(place: Path, name: str, site: str = "", **variables: str) -> subprocess.CompletedProcess[str]:

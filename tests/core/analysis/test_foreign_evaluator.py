@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from distributions import install_edges, install_posterize
+from warm_command import run_warm
 
 pytestmark = pytest.mark.thorough
 
@@ -54,8 +53,7 @@ def call(place: Path, *words: str, site: bool = True) -> str:
     environment = {**os.environ, "COLUMNS": "200"}
     if site:
         environment["PYTHONPATH"] = str(place / "site")
-    command = [sys.executable, "-m", "codecbench", *words]
-    done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, timeout=180)
+    done = run_warm(words, place, environment)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

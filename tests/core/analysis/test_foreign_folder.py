@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from distributions import install_source, register
 from project import SUPPORT
+from warm_command import run_warm
 
 from codecbench.core.engine.identity import digest
 from codecbench.core.engine.storage.environment import environment_id
@@ -113,10 +113,7 @@ def run(place: Path, tmp_path: Path) -> Path:
 def command(place: Path, *words: str | Path, **variables: str) -> subprocess.CompletedProcess[str]:
     cache = str(place / "cache")
     environment = {**os.environ, "PYTHONPATH": str(place / "site"), "CODECBENCH_CACHE": cache, **variables}
-    done = subprocess.run(
-        [sys.executable, "-m", "codecbench", *map(str, words)],
-        cwd=place, env=environment, capture_output=True, text=True, timeout=180,
-    )  # fmt: skip
+    done = run_warm(words, place, environment)
     assert "Traceback" not in done.stderr + done.stdout, done.stderr + done.stdout
     return done
 

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 from distributions import register
 from project import SUPPORT
+from warm_command import run_warm
 
 from codecbench.core.analysis.collect import open_run
 from codecbench.core.contracts.errors import StoreError
@@ -111,10 +111,7 @@ def folder(whole: Path, tmp_path: Path) -> Path:
 
 def command(site: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(site), "COLUMNS": "200"}
-    done = subprocess.run(
-        [sys.executable, "-m", "codecbench", *map(str, words)],
-        cwd=site.parent, env=environment, capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
+    done = run_warm(words, site.parent, environment)
     assert "Traceback" not in done.stderr + done.stdout, done.stderr + done.stdout
     return done
 
