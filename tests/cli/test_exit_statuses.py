@@ -365,9 +365,16 @@ def test_an_interrupted_command_says_so(place: Place, tmp_path: Path, words: str
     assert (running.returncode, said) == (ExitStatus.INTERRUPTED, "stopped\n")
 
 
-@pytest.mark.parametrize("to_all", [False, True], ids=["to the program", "to its group, as timeout(1) does"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("words", ["run slow.yaml", "choose slow.yaml --link ideal --deadline 10ms"])
+@pytest.mark.parametrize(
+    ("words", "number", "to_all"),
+    [
+        ("run slow.yaml", signal.SIGINT, False),
+        ("run slow.yaml", signal.SIGINT, True),
+        ("run slow.yaml", signal.SIGTERM, False),
+        ("run slow.yaml", signal.SIGTERM, True),  # as timeout(1) does
+        ("choose slow.yaml --link ideal --deadline 10ms", signal.SIGTERM, False),
+    ],
+)
 def test_an_interrupted_run_keeps_what_it_has(
     place: Place, tmp_path: Path, words: str, number: signal.Signals, to_all: bool
 ) -> None:
