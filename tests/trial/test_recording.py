@@ -131,7 +131,7 @@ def test_many_damaged_pictures_are_counted_and_most_are_an_error(tmp_path: Path)
     with pytest.raises(DatasetError) as caught:
         open_recording(tmp_path)
     said = str(caught.value).splitlines()
-    assert said[0] == f"{tmp_path}: skip leaves no frame of those from 0 to 9"
+    assert said[0] == f"{tmp_path}: skip removes every frame from 0 to 9"
     assert said[1].startswith(f"{tmp_path}/0.png: not an image that OpenCV can read")
     assert len(said) == 4
 
