@@ -184,7 +184,7 @@ def test_data_lists_every_dataset_with_its_state_licence_and_citation(place: Pat
 def test_data_path_is_the_folder_of_what_was_fetched_and_says_how_to_fetch_the_rest(place: Path) -> None:
     cache = place / "other-cache"
     missing = call(place, "data", "path", "kodak", status=2, CODECBENCH_CACHE=str(cache))
-    assert f"{cache / 'data' / 'kodak'}: dataset kodak is not there yet; run `codecbench data fetch kodak`" in missing
+    assert f"{cache / 'data' / 'kodak'}: dataset kodak is not fetched yet; run `codecbench data fetch kodak`" in missing
     (cache / "data" / "kodak").mkdir(parents=True)
     assert call(place, "data", "path", "kodak", CODECBENCH_CACHE=str(cache)) == f"{cache / 'data' / 'kodak'}\n"
     assert call(place, "data", "fetch", "kodak", CODECBENCH_CACHE=str(cache)) == f"{cache / 'data' / 'kodak'}\n"

@@ -186,6 +186,6 @@ def test_a_recording_is_tried(place: Place) -> None:
     words = ["try", "recording", "--codec", "jpeg:10", "--for", "speed", "--workers", "1", "--out", "tried"]
     done = place.call(*words, timeout=600)
     assert done.status == 0, done.output
-    assert "folder of pictures, 3 frames, 48x32" in done.output
+    assert "folder of images, 3 frames, 48x32" in done.output
     (report,) = re.findall(r"the report: file://(.*)", done.output)
     assert Path(report).stat().st_size > 10_000

@@ -122,7 +122,7 @@ def test_an_ivf_file_has_the_times_of_its_frame_rate(codec_class: Any) -> None:
 
 def test_a_file_that_takes_no_such_codec_is_refused() -> None:
     packets = packets_of(H264.create(), gliding_pictures(2, 96, 128, 1))
-    with pytest.raises(ParamsError, match=r"x.hevc: .hevc does not take h264"):
+    with pytest.raises(ParamsError, match=r"x.hevc: .hevc does not support h264"):
         file_from_packets(H264.create(), packets, 30, "x.hevc")
     with pytest.raises(ParamsError, match=r"x.avi: .avi is not one of .mp4, .mkv"):
         file_from_packets(H264.create(), packets, 30, "x.avi")

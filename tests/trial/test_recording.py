@@ -53,7 +53,7 @@ def test_each_layout_is_told_from_the_others(tmp_path: Path) -> None:
 def test_it_is_said_in_one_line(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
     said = str(recognize(installed(), tmp_path, {}))
-    assert said == "folder of pictures, 2 frames, 48x32, colour, no calibration, no ground truth"
+    assert said == "folder of images, 2 frames, 48x32, colour, no calibration, no ground truth"
     found = recognize(installed(), tum(tmp_path / "walk"), {})
     assert str(found) == "TUM RGB-D folder, 2 frames, 48x32, colour, camera from calib.yaml, ground truth"
     assert "1 frame, " in str(replace(found, frames=1))
@@ -131,7 +131,7 @@ def test_many_damaged_pictures_are_counted_and_most_are_an_error(tmp_path: Path)
     with pytest.raises(DatasetError) as caught:
         open_recording(tmp_path)
     said = str(caught.value).splitlines()
-    assert said[0] == f"{tmp_path}: skip leaves no frame of those from 0 to 9"
+    assert said[0] == f"{tmp_path}: skip removes every frame from 0 to 9"
     assert said[1].startswith(f"{tmp_path}/0.png: not an image that OpenCV can read")
     assert len(said) == 4
 

@@ -20,35 +20,37 @@ def _video(name: str, target: str, summary: str) -> PluginSpec:
 @hookimpl
 def codecbench_codecs() -> list[PluginSpec]:
     return [
-        PluginSpec("raw", f"{_HERE}.raw:Raw", "the pixels as they are: the baseline, and the template of a new codec"),
+        PluginSpec("raw", f"{_HERE}.raw:Raw", "raw pixels: the baseline, and a template for new codecs"),
         PluginSpec("png", f"{_HERE}.png:Png", "PNG through OpenCV, lossless"),
         PluginSpec("jpeg", f"{_HERE}.jpeg:Jpeg", "JPEG through OpenCV's libjpeg-turbo, by quality 1-100"),
         PluginSpec(
-            "jpeg_qf", f"{_HERE}.jpeg_qf:JpegQf", "baseline JPEG of our own, by a factor on the quantisation table"
+            "jpeg_qf",
+            f"{_HERE}.jpeg_qf:JpegQf",
+            "codecbench's own baseline JPEG, by a factor on the quantization table",
         ),
         PluginSpec("jpeg2000", f"{_HERE}.jpeg2000:Jpeg2000", "JPEG 2000 through glymur and OpenJPEG"),
         PluginSpec(
-            "multilevel", f"{_HERE}.multilevel:Multilevel", "multi-level minimisation of quantised DCT coefficients"
+            "multilevel", f"{_HERE}.multilevel:Multilevel", "multi-level minimization of quantized DCT coefficients"
         ),
         PluginSpec(
             "multilevel_stream",
             f"{_HERE}.multilevel.stream:MultilevelStream",
-            "the multi-level codec with the table of the picture before as its memory",
+            "inter-frame multi-level codec that reuses the table of the frame before",
         ),
         PluginSpec(
             "orb_features",
             f"{_HERE}.orb_features.codec:OrbFeatures",
-            "ORB features in the place of pictures",
+            "ORB features instead of images",
         ),
         _imagecodecs("jpegxl", "JpegXl", "JPEG XL through imagecodecs and libjxl"),
         _imagecodecs("jpegls", "JpegLs", "JPEG-LS through imagecodecs and CharLS, lossless or near-lossless"),
         _imagecodecs("htj2k", "Htj2k", "High-Throughput JPEG 2000 through imagecodecs and OpenJPH"),
         _imagecodecs("webp", "Webp", "WebP through imagecodecs and libwebp"),
         _imagecodecs("avif", "Avif", "AVIF through imagecodecs and libavif"),
-        _video("h264", "H264", "H.264 video through PyAV and x264, or an encoder in hardware"),
+        _video("h264", "H264", "H.264 video through PyAV and x264, or a hardware encoder"),
         _video("hevc", "Hevc", "HEVC video through PyAV and x265"),
         _video("av1", "Av1", "AV1 video through PyAV and SVT-AV1"),
         _video("vp9", "Vp9", "VP9 video through PyAV and libvpx"),
-        _video("mjpeg", "Mjpeg", "Motion JPEG through PyAV: video whose packets stand alone"),
+        _video("mjpeg", "Mjpeg", "Motion JPEG through PyAV: video of independent frames"),
         _video("ffv1", "Ffv1", "FFV1 video through PyAV, lossless"),
     ]

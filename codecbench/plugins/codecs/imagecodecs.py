@@ -95,7 +95,9 @@ class _EnvelopedCodec(Codec[P]):
     def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         """Recipes of stacks other than imagecodecs."""
         return (
-            Recipe(f"{GSTREAMER} and {FFMPEG}", "sh", "", f"No element of theirs is known to code {self.name} so."),
+            Recipe(
+                f"{GSTREAMER} and {FFMPEG}", "sh", "", f"Neither has a known element that codes {self.name} this way."
+            ),
         )
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
@@ -135,7 +137,7 @@ class _EnvelopedCodec(Codec[P]):
 
     def _read_shape(self, bitstream: bytes) -> tuple[int, ...]:
         if len(bitstream) <= _CONTENT_START:
-            raise BitstreamError(f"{self.name}: {len(bitstream)} bytes cannot hold a header and an image")
+            raise BitstreamError(f"{self.name}: {len(bitstream)} bytes are too few for a header and an image")
         magic, channels, reserved, width, height = _HEADER.unpack_from(bitstream)
         if magic != self.magic or channels not in (1, 3) or reserved:
             raise BitstreamError(f"{self.name}: not a bitstream of this codec (magic {magic!r}, {channels} channels)")
@@ -148,10 +150,10 @@ class _EnvelopedCodec(Codec[P]):
 
 
 class JpegXlParams(Params):
-    """libjxl's distance and effort."""
+    """Set libjxl's distance and effort."""
 
-    distance: float = Field(1.0, ge=0, le=25, description="Butteraugli distance: 0 lossless, 1 visually lossless")
-    effort: int = Field(4, ge=1, le=9, description="1 (fast) to 9 (small)")
+    distance: float = Field(1.0, ge=0, le=25, description="Butteraugli distance; 0 is lossless, 1 visually lossless")
+    effort: int = Field(4, ge=1, le=9, description="encoding effort, 1 (fast) to 9 (small files)")
 
 
 class JpegXl(_EnvelopedCodec[JpegXlParams]):
@@ -178,9 +180,9 @@ class JpegXl(_EnvelopedCodec[JpegXlParams]):
 
 
 class JpegLsParams(Params):
-    """The bound of near-lossless coding."""
+    """Set the error bound of near-lossless coding."""
 
-    near: int = Field(0, ge=0, le=127, description="largest error of any sample; 0 is lossless")
+    near: int = Field(0, ge=0, le=127, description="largest error of any sample, in gray levels; 0 is lossless")
 
 
 class JpegLs(_EnvelopedCodec[JpegLsParams]):
@@ -200,14 +202,16 @@ class JpegLs(_EnvelopedCodec[JpegLsParams]):
 
     def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         if not self.is_lossless():
-            return (Recipe(FFMPEG, "sh", "", "FFmpeg's jpegls encoder is lossless alone: there is no near."),)
+            return (Recipe(FFMPEG, "sh", "", "FFmpeg's jpegls encoder is lossless only; it has no near."),)
         return (ffmpeg(scene, [f"-c:v jpegls -pix_fmt {'gray' if scene.channels == 1 else 'rgb24'}"], "%06d.jls"),)
 
 
 class Htj2kParams(Params):
-    """The quantiser of OpenJPH."""
+    """Set OpenJPH's quantizer."""
 
-    step: float = Field(0.01, ge=0, le=0.5, description="base step of the 9/7 wavelet; 0 is lossless, by the 5/3")
+    step: float = Field(
+        0.01, ge=0, le=0.5, description="base step of the 9/7 wavelet; 0 is lossless, with the 5/3 wavelet"
+    )
 
 
 class Htj2k(_EnvelopedCodec[Htj2kParams]):
@@ -238,11 +242,11 @@ class Htj2k(_EnvelopedCodec[Htj2kParams]):
 
 
 class WebpParams(Params):
-    """libwebp's quality and method."""
+    """Set libwebp's quality and method."""
 
     quality: float = Field(75, ge=0, le=100, description="libwebp's quality, with 4:2:0 chroma; unused if lossless")
-    lossless: bool = Field(False, description="every pixel")
-    method: int = Field(4, ge=0, le=6, description="0 (fast) to 6 (small)")
+    lossless: bool = Field(False, description="code every pixel exactly")
+    method: int = Field(4, ge=0, le=6, description="encoding effort, 0 (fast) to 6 (small files)")
 
 
 class Webp(_EnvelopedCodec[WebpParams]):
@@ -266,9 +270,7 @@ class Webp(_EnvelopedCodec[WebpParams]):
         element = f"webpenc preset=none quality={params.quality:g} speed={params.method} lossless={lossless}"
         options = f"-c:v libwebp -pix_fmt bgra -quality {params.quality:g} -compression_level {params.method}"
         flag = 101 if params.lossless else round(params.quality)
-        method = (
-            "" if params.method == 4 else "OpenCV sets no method: it is 4, so frames are a little larger or smaller."
-        )
+        method = "" if params.method == 4 else "OpenCV always uses method 4, so frames are a little larger or smaller."
         method = "" if params.lossless else method
         return (
             gstreamer(scene, "format=RGB", element, "%06d.webp"),
@@ -278,11 +280,11 @@ class Webp(_EnvelopedCodec[WebpParams]):
 
 
 class AvifParams(Params):
-    """libavif's quality and speed."""
+    """Set libavif's quality, speed and chroma subsampling."""
 
-    quality: int = Field(60, ge=0, le=99, description="libavif's quality, all of it lossy")
-    speed: int = Field(8, ge=0, le=10, description="0 (small) to 10 (fast)")
-    subsampling: Literal["444", "422", "420"] = Field("420", description="chroma")
+    quality: int = Field(60, ge=0, le=99, description="libavif's quality; every value is lossy")
+    speed: int = Field(8, ge=0, le=10, description="encoding speed, 0 (small files) to 10 (fast)")
+    subsampling: Literal["444", "422", "420"] = Field("420", description="chroma subsampling")
 
 
 class Avif(_EnvelopedCodec[AvifParams]):
@@ -308,8 +310,8 @@ class Avif(_EnvelopedCodec[AvifParams]):
     def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         options = {"IMWRITE_AVIF_QUALITY": self.params.quality, "IMWRITE_AVIF_SPEED": self.params.speed}
         is_same = self.params.subsampling == "420"
-        note = "" if is_same else "Chroma is coded as 4:2:0 there, so frames are smaller."
+        note = "" if is_same else "It codes chroma as 4:2:0, so frames are smaller."
         return (
             opencv(scene, ".avif", options, note),
-            Recipe(f"{GSTREAMER} and {FFMPEG}", "sh", "", "They code AV1 by other scales than libavif's quality."),
+            Recipe(f"{GSTREAMER} and {FFMPEG}", "sh", "", "Their quality scales of AV1 differ from libavif's."),
         )

@@ -105,7 +105,7 @@ def read_segments(bitstream: bytes, name: str) -> list[Segment]:
 def _read_segment(bitstream: bytes, position: int, code: int, name: str) -> tuple[Segment, int]:
     """Read the segment whose marker is at `position`; returns the position of the next marker too."""
     if code not in _ALLOWED:
-        raise BitstreamError(f"{name}: marker FF{code:02X} at byte {position} has no place there")
+        raise BitstreamError(f"{name}: marker FF{code:02X} at byte {position} is not allowed there")
     if position + 4 > len(bitstream):
         raise BitstreamError(f"{name}: ends inside the marker segment at byte {position}")
     (length,) = struct.unpack_from(">H", bitstream, position + 2)

@@ -51,7 +51,7 @@ def insert_checksum(bitstream: bytes) -> bytes:
 def _check_crc(bitstream: bytes) -> None:
     place = bitstream.find(_CRC_COMMENT, 0, _MAIN_HEADER_BYTES)
     if place < 0:
-        raise BitstreamError("jpeg2000: not a file of ours, it has no checksum")
+        raise BitstreamError("jpeg2000: no checksum; codecbench did not write this file")
     view, digits = memoryview(bitstream), place + len(_CRC_COMMENT)
     crc = zlib.crc32(view[digits + _CRC_DIGITS :], zlib.crc32(view[:digits]))
     if bitstream[digits : digits + _CRC_DIGITS] != f"{crc:08x}".encode():
@@ -120,19 +120,19 @@ def _read_packet_lengths(bitstream: bytes, position: int) -> tuple[int, list[int
 def _read_structure(bitstream: bytes) -> tuple[int, ...]:
     boxes = _read_boxes(bitstream, 0, len(bitstream))
     if tuple(kind for kind, _, _ in boxes) != _BOXES or bitstream[8:12] != _SIGNATURE:
-        raise BitstreamError(f"jpeg2000: not a JP2 file of ours: boxes {[kind for kind, _, _ in boxes]}")
+        raise BitstreamError(f"jpeg2000: not a JP2 file of codecbench: boxes {[kind for kind, _, _ in boxes]}")
     if bitstream[boxes[1][1] : boxes[1][2]] != _FILE_TYPE:
         raise BitstreamError(f"jpeg2000: file type {bitstream[boxes[1][1] : boxes[1][2]]!r} is not that of a JP2 file")
     inner = _read_boxes(bitstream, boxes[2][1], boxes[2][2])
     if [kind for kind, _, _ in inner] != [b"ihdr", b"colr"] or inner[0][2] - inner[0][1] != _IHDR.size:
-        raise BitstreamError("jpeg2000: the JP2 header must hold one image header and one colour box")
+        raise BitstreamError("jpeg2000: the JP2 header must contain one image header and one color box")
     height, width, channels, depth, compression, *_ = _IHDR.unpack_from(bitstream, inner[0][1])
     if channels not in (1, 3) or depth != _EIGHT_BITS or compression != _WAVELET_COMPRESSION:
         raise BitstreamError(f"jpeg2000: {channels} components, depth field {depth}; 1 or 3 of 8 bits are read")
     if not 0 < height * width <= MAX_JP2_PIXELS:
         raise BitstreamError(f"jpeg2000: {width}x{height} is not within 1..{MAX_JP2_PIXELS} pixels")
     if bitstream[inner[1][1] : inner[1][2]] != _COLOUR_SPACES[channels]:
-        raise BitstreamError(f"jpeg2000: the colour box does not say what {channels} component(s) of ours are")
+        raise BitstreamError(f"jpeg2000: the color box does not fit {channels} component(s)")
     _check_codestream(bitstream, boxes[3][1], width, height, channels)
     return (height, width) if channels == 1 else (height, width, channels)
 
@@ -166,7 +166,7 @@ def _check_codestream(bitstream: bytes, start: int, width: int, height: int, cha
         elif code == SOT:
             break
         elif code not in (QCD, COM):
-            raise BitstreamError(f"jpeg2000: marker {code:04X} at byte {position} is not one that we write")
+            raise BitstreamError(f"jpeg2000: marker {code:04X} at byte {position} is not one that codecbench writes")
         position += 4 + len(content)
     if seen[0] != SIZ or any(seen.count(code) != 1 for code in (SIZ, COD, QCD)):
         raise BitstreamError("jpeg2000: the main header needs SIZ first, and COD and QCD once")
@@ -203,7 +203,7 @@ def _check_coding_style(content: bytes, channels: int) -> None:
     style, progression, layers, colour_transform, levels, *blocks, wavelet = _COD.unpack(content)
     is_style = (style, progression) == (0, 0) and 1 <= layers <= MAX_LAYERS
     if not is_style or tuple(blocks) not in _BLOCKS or colour_transform != (channels == 3):
-        raise BitstreamError(f"jpeg2000: coding style {tuple(content)} is not one that we write")
+        raise BitstreamError(f"jpeg2000: coding style {tuple(content)} is not one that codecbench writes")
     if levels > _MAX_DECOMPOSITIONS or wavelet > 1:
         raise BitstreamError(
             f"jpeg2000: {levels} decompositions of wavelet {wavelet}; at most {_MAX_DECOMPOSITIONS} of 0 or 1 are read"

@@ -51,12 +51,16 @@ _GSTREAMER_FORMATS = {"444": "Y444", "422": "Y42B", "420": "I420"}
 
 
 class JpegParams(Params):
-    """What libjpeg lets one choose."""
+    """Set libjpeg's quality, chroma subsampling, Huffman tables, scans and restart markers."""
 
     quality: int = Field(75, ge=1, le=100, description="libjpeg's quality, 1 to 100")
-    subsampling: Literal["444", "422", "420"] = Field("420", description="chroma of colour images; gray has none")
-    optimize: bool = Field(False, description="Huffman tables made for the image (T.81 K.2), not the example ones")
-    progressive: bool = Field(False, description="progressive scans, which always have optimised tables")
+    subsampling: Literal["444", "422", "420"] = Field(
+        "420", description="chroma subsampling of color images; gray images have no chroma"
+    )
+    optimize: bool = Field(
+        False, description="compute Huffman tables for each image (T.81 K.2) instead of using the example tables"
+    )
+    progressive: bool = Field(False, description="use progressive scans, which always have optimized tables")
     restart: int = Field(
         0, ge=0, le=8, description="rows of MCUs (8 or 16 pixels high) from one restart marker to the next, 0 for none"
     )
@@ -64,7 +68,7 @@ class JpegParams(Params):
     @model_validator(mode="after")
     def _check_restart(self) -> Self:
         if self.restart and self.progressive:
-            raise ValueError("restart is for sequential JPEG: a missing part of a progressive one is in every row")
+            raise ValueError("restart needs sequential JPEG: a lost part of a progressive file affects every row")
         return self
 
 
@@ -109,14 +113,14 @@ class Jpeg(Codec[JpegParams]):
         params, is_gray = self.params, scene.channels == 1
         gaps = []
         if params.progressive:
-            gaps.append("Frames are sequential there, not progressive, so they are a few per cent larger.")
+            gaps.append("It writes sequential frames, not progressive ones, so they are a few percent larger.")
         elif params.optimize:
-            gaps.append("Huffman tables are the standard's there, not the frame's, so frames are larger.")
+            gaps.append("It uses the standard's Huffman tables, not the frame's, so frames are larger.")
         if params.restart:
-            gaps.append("There are no restart markers there, so that a lost packet takes the frame from there on.")
+            gaps.append("It writes no restart markers, so a lost packet destroys the rest of the frame.")
         chroma = ""
         if not is_gray and params.subsampling != "420":
-            chroma = f"Chroma is coded as 4:2:0 there, not {':'.join(params.subsampling)}, so frames are smaller."
+            chroma = f"It codes chroma as 4:2:0, not {':'.join(params.subsampling)}, so frames are smaller."
         finest = CONVERSION if not is_gray and params.quality > _EXACT_BELOW else ""
         element = f"jpegenc idct-method=islow quality={params.quality}"
         caps = "format=GRAY8" if is_gray else f"format={_GSTREAMER_FORMATS[params.subsampling]},{FULL_RANGE}"
@@ -128,7 +132,7 @@ class Jpeg(Codec[JpegParams]):
             opencv(scene, ".jpg", self._options(scene.width, is_gray=is_gray)),
             Recipe(
                 FFMPEG, "sh", "",
-                "FFmpeg's mjpeg encoder has quantizers of its own (-q:v), not libjpeg's quality: take another stack.",
+                "FFmpeg's mjpeg encoder has its own quantizer scale (-q:v), not libjpeg's quality: use another stack.",
             ),
         )  # fmt: skip
 

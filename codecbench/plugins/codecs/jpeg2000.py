@@ -56,24 +56,24 @@ _PARSER_ERRORS = (
 
 
 class Jpeg2000Params(Params):
-    """Exactly one of `ratio`, `psnr_db`, `lossless` and `cr_percent` sets the rate."""
+    """Set the rate by exactly one of `ratio`, `psnr_db`, `lossless` and `cr_percent`."""
 
     ratio: Annotated[float, Field(gt=1)] | None = Field(
-        None, description="raw bytes, channels included, to coded bytes, as OpenJPEG's rate control reaches it"
+        None, description="target of OpenJPEG's rate control: raw bytes, channels included, to coded bytes"
     )
-    psnr_db: Annotated[float, Field(gt=0, le=100)] | None = Field(None, description="OpenJPEG's target quality")
-    lossless: bool = Field(False, description="every pixel, by the 5/3 wavelet")
+    psnr_db: Annotated[float, Field(gt=0, le=100)] | None = Field(None, description="OpenJPEG's target PSNR, in dB")
+    lossless: bool = Field(False, description="code every pixel exactly, with the 5/3 wavelet")
     cr_percent: Annotated[float, Field(gt=0, lt=100)] | None = Field(
-        None, description="100 (1 - coded / PNG), reached to within 2 % of the coded size, which is never exceeded"
+        None, description="100 (1 - coded / PNG); the coded size is at most its target, and at most 2 % below it"
     )
     irreversible: bool = Field(
-        True, description="the 9/7 wavelet with real arithmetic, else the 5/3; follows from lossless where left out"
+        True, description="use the real 9/7 wavelet instead of the 5/3; default: true unless lossless"
     )
     layers: int = Field(
         1,
         ge=1,
         le=MAX_LAYERS,
-        description="of quality, each of twice the bytes or 3 dB finer; cut files keep the first",
+        description="quality layers, each of twice the bytes or 3 dB finer; cut files keep the first",
     )
 
     @model_validator(mode="before")
@@ -157,7 +157,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         """The call of glymur and recipes of other stacks; `cr_percent` is a search that only codecbench does."""
         params = self.params
         if params.cr_percent is not None:
-            note = "The ratio is searched for each frame, which no other stack does; measure ratio, which FFmpeg takes."
+            note = "Only codecbench searches the ratio for each frame; measure ratio, which FFmpeg supports."
             return tuple(replace(recipe, note=note) for recipe in super().recipes(scene))
         settings = {**self._settings((scene.height, scene.width)), **self._layer_rates(self._rate())}
         layout = "gray" if scene.channels == 1 else "rgb"
@@ -173,20 +173,18 @@ class Jpeg2000(Codec[Jpeg2000Params]):
 
     def _ratio_recipes(self, scene: Scene) -> Iterator[Recipe]:
         params = self.params
-        yield Recipe(GSTREAMER, "sh", "", "openjpegenc has no property for a rate: it is lossless alone.")
+        yield Recipe(GSTREAMER, "sh", "", "openjpegenc has no property for a rate: it is lossless only.")
         if params.ratio is None:
-            yield Recipe(f"{FFMPEG} and OpenCV", "sh", "", "They take a ratio, no target quality and no layers.")
+            yield Recipe(f"{FFMPEG} and OpenCV", "sh", "", "They support a ratio, but no target PSNR and no layers.")
             return
-        note = (
-            "" if params.layers == 1 else "There is one layer there, so that a cut frame loses fine detail everywhere."
-        )
+        note = "" if params.layers == 1 else "It writes one layer, so a cut frame loses fine detail everywhere."
         level = round(params.ratio / 2)  # FFmpeg asks OpenJPEG for twice this ratio
         layout = "gray" if scene.channels == 1 else "rgb24"
         options = f"-c:v libopenjpeg -pix_fmt {layout} -compression_level {level} -irreversible {params.irreversible:d}"
         if level == params.ratio / 2:
             yield ffmpeg(scene, [options], "%06d.jp2", note)
         else:
-            yield Recipe(FFMPEG, "sh", "", "FFmpeg takes even ratios alone.")
+            yield Recipe(FFMPEG, "sh", "", "FFmpeg supports even ratios only.")
         yield opencv(scene, ".jp2", {"IMWRITE_JPEG2000_COMPRESSION_X1000": round(1000 / params.ratio)}, note)
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
@@ -216,7 +214,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
             except _PARSER_ERRORS as error:
                 raise BitstreamError(f"jpeg2000: OpenJPEG cannot read the file: {error}") from error
         if pixels.shape != shape or pixels.dtype != np.uint8:
-            raise BitstreamError(f"jpeg2000: the header promises {shape}, OpenJPEG read {pixels.shape} {pixels.dtype}")
+            raise BitstreamError(f"jpeg2000: the header declares {shape}, OpenJPEG read {pixels.shape} {pixels.dtype}")
         return np.asarray(pixels, dtype=np.uint8)
 
     def libraries(self) -> dict[str, str]:
@@ -237,7 +235,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
             if in_full or best is None or len(best.file) >= (1 - _TOLERANCE) * target_bytes:
                 break
         if best is None:
-            raise Unsupported(f"jpeg2000: cr_percent allows {target_bytes} bytes, this frame takes {smallest} or more")
+            raise Unsupported(f"jpeg2000: cr_percent allows {target_bytes} bytes, this frame needs {smallest} or more")
         return best
 
     def _search(self, image: Image, target_bytes: int, block_side: int) -> tuple[_Trial | None, int, bool]:

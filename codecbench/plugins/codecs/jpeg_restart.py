@@ -55,12 +55,12 @@ def salvage(fragments: Sequence[Fragment], name: str) -> PartialDecode:
     first = fragments[0]
     begin = _scan_start(first.data, name) if first.offset == 0 else 0
     if not begin:
-        raise BitstreamError(f"{name}: the header is not there, and nothing is known without it")
+        raise BitstreamError(f"{name}: the header is missing, so nothing can be decoded")
     segments = read_segments(first.data[:begin] + _END, name)
     header = read_frame_header(segments, name)
     intervals = [segment.content for segment in segments if segment.code == DRI]
     if header.code not in (SOF_BASELINE, SOF_EXTENDED) or segments[-1].content[:1] != bytes([len(header.components)]):
-        raise BitstreamError(f"{name}: parts are missing of a file in several scans")
+        raise BitstreamError(f"{name}: parts of a file in several scans are missing")
     mcus = struct.unpack(">H", intervals[0])[0] if len(intervals) == 1 and len(intervals[0]) == 2 else 0
     width, height = _mcu_size(header)
     per_row = -(-header.width // width)
@@ -70,7 +70,7 @@ def salvage(fragments: Sequence[Fragment], name: str) -> PartialDecode:
     count = -(-header.height // step)
     complete = _number_intervals([*_marker_runs(fragments, begin, count, name)], count, name)
     if not complete:
-        raise BitstreamError(f"{name}: no restart interval of {count} is there whole")
+        raise BitstreamError(f"{name}: none of {count} restart intervals is complete")
     rows = [row for number in complete for row in range(number * step, min((number + 1) * step, header.height))]
     place = next(segment.offset for segment in segments if segment.code in FRAME_HEADERS) + _HEIGHT
     head = first.data[:place] + struct.pack(">H", len(rows)) + first.data[place + 2 : begin]

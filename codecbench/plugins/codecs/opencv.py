@@ -49,7 +49,7 @@ def read_image(bitstream: bytes, shape: tuple[int, ...], name: str) -> Image:
         raise BitstreamError(f"{name}: OpenCV cannot read the file: {error}") from error
     if stored is None or stored.shape != shape or stored.dtype != np.uint8:
         got = "nothing" if stored is None else f"{stored.dtype} of shape {stored.shape}"
-        raise BitstreamError(f"{name}: the header promises uint8 of shape {shape}, OpenCV read {got}")
+        raise BitstreamError(f"{name}: the header declares uint8 of shape {shape}, OpenCV read {got}")
     pixels = stored if stored.ndim == 2 else cv2.cvtColor(stored, cv2.COLOR_BGR2RGB)
     return np.asarray(pixels, dtype=np.uint8)
 

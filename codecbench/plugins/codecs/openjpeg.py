@@ -65,7 +65,7 @@ def lenient_decoding(glymur: ModuleType) -> Iterator[None]:
     """
     binding = glymur.lib.openjp2
     if not hasattr(binding.OPENJP2, "opj_decoder_set_strict_mode"):
-        raise Unsupported(f"jpeg2000: OpenJPEG {binding.version()} decodes no part of a file; 2.5 and later do")
+        raise Unsupported(f"jpeg2000: OpenJPEG {binding.version()} cannot decode a part of a file; 2.5 and later can")
     set_strict_mode = binding.OPENJP2.opj_decoder_set_strict_mode
     set_strict_mode.argtypes, set_strict_mode.restype = [binding.CODEC_TYPE, ctypes.c_int], ctypes.c_int
     prepare = binding.setup_decoder

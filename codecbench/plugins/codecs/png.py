@@ -26,10 +26,10 @@ _MAX_DEFLATE_RATIO = 1032  # a deflate stream cannot expand more (RFC 1951: 258 
 
 
 class PngParams(Params):
-    """How hard zlib tries."""
+    """Set zlib's effort."""
 
     effort: Annotated[int, Field(ge=0, le=9)] | None = Field(
-        None, description="zlib level, 0 (none) to 9 (smallest); left out, OpenCV's fast default"
+        None, description="zlib level, 0 (none) to 9 (smallest); default: OpenCV's fast one"
     )
 
 
@@ -54,7 +54,7 @@ class Png(Codec[PngParams]):
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         effort = self.params.effort
-        level = "" if effort is not None else "It has no level that is OpenCV's default; 1 came within 1 % of it."
+        level = "" if effort is not None else "No level equals OpenCV's default; 1 came within 1 % of it."
         return (
             compressed_image_transport({"format": "png", "png_level": 1 if effort is None else effort}, level),
             opencv(scene, ".png", self._options()),
@@ -62,7 +62,7 @@ class Png(Codec[PngParams]):
                 GSTREAMER, "sh", "", "pngenc filters no rows: frames of the same level were up to 1.6 times as large."
             ),
             Recipe(
-                FFMPEG, "sh", "", "FFmpeg's png encoder filters rows otherwise: frames were up to 1.6 times as large."
+                FFMPEG, "sh", "", "FFmpeg's png encoder filters rows differently: frames were up to 1.6 times as large."
             ),
         )
 
@@ -85,7 +85,7 @@ def _read_shape(bitstream: bytes) -> tuple[int, ...]:
     while kind != b"IEND":
         kind, content, position = _read_chunk(bitstream, position)
         if (kind == b"IHDR") != (shape is None):
-            raise BitstreamError(f"png: chunk {kind!r} where IHDR must come first and once")
+            raise BitstreamError(f"png: chunk {kind!r} is misplaced: IHDR comes first and once")
         if kind == b"IHDR":
             shape = _shape_from_header(content)
         elif kind == b"IDAT":
@@ -97,7 +97,7 @@ def _read_shape(bitstream: bytes) -> tuple[int, ...]:
     assert shape is not None
     row_bytes = 1 + shape[1] * (3 if len(shape) == 3 else 1)
     if shape[0] * row_bytes > _MAX_DEFLATE_RATIO * compressed_bytes:
-        raise BitstreamError(f"png: {compressed_bytes} compressed bytes cannot hold an image of shape {shape}")
+        raise BitstreamError(f"png: {compressed_bytes} compressed bytes are too few for an image of shape {shape}")
     return shape
 
 
@@ -120,7 +120,7 @@ def _shape_from_header(content: memoryview) -> tuple[int, ...]:
         raise BitstreamError(f"png: IHDR has {len(content)} bytes, not {_HEADER.size}")
     width, height, depth, colour, compression, filtering, interlace = _HEADER.unpack(content)
     if depth != 8 or colour not in (_GRAY, _RGB) or compression or filtering or interlace:
-        raise BitstreamError(f"png: depth {depth}, colour type {colour}, interlace {interlace}; 8, 0 or 2, 0 are read")
+        raise BitstreamError(f"png: depth {depth}, color type {colour}, interlace {interlace}; 8, 0 or 2, 0 are read")
     if not 0 < width * height <= MAX_PIXELS:
         raise BitstreamError(f"png: {width}x{height} is not within 1..{MAX_PIXELS} pixels")
     return (height, width) if colour == _GRAY else (height, width, 3)

@@ -45,19 +45,21 @@ class Raw(Codec[NoParams]):
         image = check_image(image)
         height, width = image.shape[:2]
         if height * width > MAX_PIXELS:
-            raise ImageError(f"raw: an image of {width}x{height} exceeds the {MAX_PIXELS} pixels that a decoder takes")
+            raise ImageError(
+                f"raw: an image of {width}x{height} exceeds the {MAX_PIXELS} pixels that a decoder accepts"
+            )
         content = _HEADER.pack(_MAGIC, channel_count(image), width, height) + image.tobytes()
         return content + _CRC.pack(zlib.crc32(content))
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
-        note = "The pixels as they are: subscribe to the raw topic, transport `raw`, which every node publishes."
-        header_note = "Pixels with a header and a checksum of codecbench, which other stacks do not add."
+        note = "Subscribe to the raw topic, transport `raw`, which every node publishes."
+        header_note = "codecbench adds a header and a checksum to the pixels; other stacks do not."
         python = (replace(recipe, note=header_note) for recipe in super().recipes(scene))
         return (Recipe("ROS 2 image_transport", "yaml", "", note), *python)
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         if len(bitstream) < _HEADER.size + _CRC.size:
-            raise BitstreamError(f"raw: {len(bitstream)} bytes cannot hold a header and a checksum")
+            raise BitstreamError(f"raw: {len(bitstream)} bytes are too few for a header and a checksum")
         magic, channels, width, height = _HEADER.unpack_from(bitstream)
         if magic != _MAGIC or channels not in (1, 3):
             raise BitstreamError(f"raw: not a raw bitstream (magic {magic!r}, {channels} channels)")

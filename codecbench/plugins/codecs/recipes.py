@@ -13,7 +13,7 @@ from codecbench.core.contracts.recipe import Recipe, Scene
 COMPRESSED: Final = "ROS 2 compressed_image_transport 2.5 to 6.2 (Humble to Rolling)"
 GSTREAMER: Final = "GStreamer 1.22"
 FFMPEG: Final = "ffmpeg 5.1"
-CONVERSION: Final = "GStreamer converts color less exactly, which lossless and nearly lossless coding pays for."
+CONVERSION: Final = "GStreamer converts color less exactly, so lossless and near-lossless frames differ."
 FULL_RANGE: Final = "colorimetry=1:4:0:0"
 """Full-range BT.601. Without it GStreamer converts to limited range, with fewer bytes and other pixels."""
 

@@ -48,7 +48,7 @@ class MiscalibratedSequence(AdaptedSequence):
     def __init__(self, source: FrameSequence, error: float) -> None:
         super().__init__(source)
         if source.camera is None:
-            raise DatasetError(f"{source.name}: no camera is known that could be wrong", {"calibration_error": 0.0})
+            raise DatasetError(f"{source.name}: `calibration_error` needs a camera", {"calibration_error": 0.0})
         self.camera = miscalibrate(source.camera, error)
         self.name += f"-k1{error:+g}"
         self.as_calibrated = source.fingerprint
@@ -72,7 +72,7 @@ class ScaledSequence(AdaptedSequence):
         self.camera = None if camera is None else scaled_camera(camera, size)
         how = "as means over areas" if scale < 1.0 else "bicubic"
         self.notes += (
-            f"frames of {unscaled[0]}x{unscaled[1]} are scaled to {size[0]}x{size[1]} ({how}), the camera with them",
+            f"frames of {unscaled[0]}x{unscaled[1]} are scaled to {size[0]}x{size[1]} ({how}), and so is the camera",
         )
 
     @cached_property
@@ -95,7 +95,7 @@ class ScaledSequence(AdaptedSequence):
         width, height = (round(side * self._scale) for side in size)
         if min(width, height) < MIN_SIDE_PX or width * height > MAX_PIXELS:
             raise DatasetError(
-                f"{self.name}: `scale` {self._scale:g} makes {width}x{height} of frames of {size[0]}x{size[1]}; "
+                f"{self.name}: `scale` {self._scale:g} makes {width}x{height} from frames of {size[0]}x{size[1]}; "
                 f"at least {MIN_SIDE_PX} pixels a side and at most {MAX_PIXELS:,} in all are allowed: choose another"
             )
         return width, height

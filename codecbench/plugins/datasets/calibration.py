@@ -123,7 +123,7 @@ def camera_from_file(file: Path) -> tuple[Camera, float | None]:
     model = entries.get("model", "pinhole")
     if not isinstance(model, str) or model not in _DISTORTION:
         models = " and ".join(f"`{name}`" for name in _DISTORTION)
-        raise DatasetError(f"{entries.where('model')}: `model` is {model!r}; {models} are known")
+        raise DatasetError(f"{entries.where('model')}: `model` is {model!r}; supported: {models}")
     for key in _INTRINSICS[:4]:
         if entries.number(key) <= 0.0:
             raise DatasetError(f"{entries.where(key)}: `{key}` is {entries.get(key)}, which is not above 0")

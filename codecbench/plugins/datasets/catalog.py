@@ -153,7 +153,7 @@ def path(name: str) -> Path:
     """The folder of a fetched dataset. Raises DatasetError with the command that fetches it if it is missing."""
     entry = find(name)
     if not entry.is_there:
-        raise DatasetError(f"{entry.folder}: dataset {name} is not there yet; run `codecbench data fetch {name}`")
+        raise DatasetError(f"{entry.folder}: dataset {name} is not fetched yet; run `codecbench data fetch {name}`")
     return entry.folder
 
 
@@ -204,10 +204,10 @@ def _fetch_file(
         arriving.mkdir(parents=True, exist_ok=True)
         file = Path(pooch.retrieve(url, checksum and f"sha256:{checksum}", name, arriving, downloader=downloader))
     except ValueError as error:
-        source = "the catalogue's" if expected else f"that of the first fetch, in {_checksum_file(entry)}"
+        source = "the catalog's" if expected else f"that of the first fetch, in {_checksum_file(entry)}"
         raise DatasetError(
-            f"{url}: what came does not have the right checksum ({source}: {checksum}); it was deleted: fetch again, "
-            "and if that fails the publisher has changed the file"
+            f"{url}: the download has the wrong checksum ({source}: {checksum}) and was deleted; fetch again. "
+            "If that fails too, the publisher has changed the file"
         ) from error
     except OSError as error:
         raise DatasetError(f"{arriving}: cannot be written: {error.strerror or error}") from error

@@ -66,13 +66,13 @@ class ResumingDownloader:
                 reason = "the connection was cut"
             except urllib.error.HTTPError as error:
                 if error.code < 500:
-                    raise DatasetError(f"{url}: the server answers {error.code} {error.reason}") from error
-                reason = f"the server answers {error.code} {error.reason}"
+                    raise DatasetError(f"{url}: the server returned {error.code} {error.reason}") from error
+                reason = f"the server returned {error.code} {error.reason}"
             except (urllib.error.URLError, http.client.HTTPException, TimeoutError, ConnectionError) as error:
                 reason = str(getattr(error, "reason", error)) or type(error).__name__
             failures = failures + 1 if stream.tell() <= before else 0
             if failures >= self._tries:
-                raise DatasetError(f"{url}: {reason} after {stream.tell()} bytes; fetch again to go on from there")
+                raise DatasetError(f"{url}: {reason} after {stream.tell()} bytes; fetch again to resume")
             time.sleep(self._pause_s)
 
     def _receive(self, url: str, stream: IO[bytes]) -> bool:
@@ -130,12 +130,12 @@ def unpack(archive: Path, folder: Path, inside: str = "", leave_out: tuple[str, 
                 shutil.copyfileobj(stream, output, 1 << 20)
             count += 1
         if not count:
-            raise DatasetError(f"{archive}: holds no files" + (f" in {inside}/" if inside else ""))
+            raise DatasetError(f"{archive}: contains no files" + (f" in {inside}/" if inside else ""))
         new.chmod(0o755)
         new.rename(folder)
     except (tarfile.TarError, zipfile.BadZipFile, EOFError, ValueError, NotImplementedError) as error:
         # zipfile raises NotImplementedError for an unknown compression method
-        raise DatasetError(f"{archive}: is damaged or no archive: {error}; fetch it again") from error
+        raise DatasetError(f"{archive}: is damaged or not an archive: {error}; fetch it again") from error
     except OSError as error:
         raise DatasetError(f"{archive}: cannot be unpacked into {folder}: {error.strerror or error}") from error
     finally:
@@ -168,7 +168,7 @@ def _safe_path(name: str, archive: Path) -> PurePosixPath:
     """The path of a member. Raises DatasetError if it is empty or would lie outside the folder."""
     path = PurePosixPath(name)
     if not path.parts:
-        raise DatasetError(f"{archive}: a file is called {name!r}, which names none; nothing was unpacked")
+        raise DatasetError(f"{archive}: {name!r} is not a file name; nothing was unpacked")
     if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in path.parts[0]:
         raise DatasetError(f"{archive}: {name!r} would lie outside its folder; nothing was unpacked")
     return path

@@ -18,13 +18,13 @@ from codecbench.plugins.datasets.tables import increasing_times, orthonormalize,
 
 Floats = NDArray[np.float64]
 _USUAL_RATE_HZ = 20.0
-_SENSOR_POSES_NOTE = "without calibration the poses are those of the vehicle's sensor, which are taken as the camera's"
+_SENSOR_POSES_NOTE = "without calibration the poses of the vehicle's sensor are used as the camera's"
 
 
 class EurocParams(FolderSelection, RecordedCameraParams):
-    """Parameters of `euroc`."""
+    """Set the camera and the ground truth of a EuRoC MAV sequence."""
 
-    camera: Annotated[Literal["cam0", "cam1"], Field(description="cam0 is on the left")] = "cam0"
+    camera: Annotated[Literal["cam0", "cam1"], Field(description="cam0 is the left one")] = "cam0"
     ground_truth: Annotated[bool, Field(description="false for a sequence without state_groundtruth_estimate0")] = True
 
 
@@ -55,7 +55,7 @@ class Euroc(Dataset[EurocParams]):
         root = params.folder("mav0/")
         folder = root / "mav0" / params.camera
         if not folder.is_dir():
-            raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds mav0/")
+            raise DatasetError(f"{folder}: is not a folder; set `path` to the one that contains mav0/")
         rows = read_rows(folder / "data.csv", "the list of frames", 2, ",")
         times_s = increasing_times([row.seconds_from_ns(0) for row in rows], rows)
         chosen = params.indices(len(rows), str(folder / "data.csv"))
@@ -91,7 +91,7 @@ def _sensor(params: EurocParams, file: Path) -> YamlFile | None:
     """Read the camera's sensor.yaml; None if it is not wanted, or missing and not needed. Raises DatasetError."""
     if params.calibration == "none" or (params.fov_deg is not None and not file.exists()):
         return None
-    return YamlFile(file, "calibration", "`fov_deg` makes an ideal camera instead")
+    return YamlFile(file, "calibration", "set `fov_deg` for an ideal camera")
 
 
 def _rate_hz(sensor: YamlFile | None) -> float:
@@ -108,18 +108,18 @@ def _camera(sensor: YamlFile) -> Camera:
     """The camera that sensor.yaml describes. Raises DatasetError if its model is unknown."""
     if sensor.get("camera_model", "pinhole") != "pinhole":
         model = sensor.get("camera_model")
-        raise DatasetError(f"{sensor.where('camera_model')}: `camera_model` is {model!r}; only `pinhole` is known")
+        raise DatasetError(f"{sensor.where('camera_model')}: `camera_model` is {model!r}; only `pinhole` is supported")
     model = sensor.get("distortion_model", "radial-tangential")
     if model not in ("radial-tangential", "equidistant"):
         raise DatasetError(
             f"{sensor.where('distortion_model')}: `distortion_model` is {model!r}; "
-            "`radial-tangential` and `equidistant` are known"
+            "supported: `radial-tangential` and `equidistant`"
         )
     width, height = sensor.numbers("resolution", (2,))
     fx, fy, cx, cy = sensor.numbers("intrinsics", (4,))
     for key, values in (("resolution", (width, height)), ("intrinsics", (fx, fy))):
         if min(values) <= 0.0:
-            raise DatasetError(f"{sensor.where(key)}: `{key}` holds a number that is not above 0")
+            raise DatasetError(f"{sensor.where(key)}: `{key}` contains a number that is not above 0")
     counts = (4,) if model == "equidistant" else (4, 5)
     coefficients = sensor.numbers("distortion_coefficients", counts)
     return camera_from_model(model, (round(width), round(height)), (fx, fy, cx, cy), coefficients)

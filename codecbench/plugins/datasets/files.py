@@ -216,4 +216,4 @@ def jpeg_notes(content: bytes) -> tuple[str, ...]:
     if not content.startswith(_JPEG_START):
         return ()
     coding = quality_from_jpeg(content) or "JPEG"
-    return (f"its frames are decoded {coding}: raw is what that left of them, and JPEG is at an advantage",)
+    return (f"its frames are decoded {coding}: raw includes its losses, and JPEG has an advantage",)

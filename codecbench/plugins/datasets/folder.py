@@ -16,9 +16,9 @@ from codecbench.plugins.datasets.selection import FolderSelection, GivenCameraPa
 
 
 class FolderParams(FolderSelection, GivenCameraParams):
-    """Parameters of `folder`."""
+    """Set the frame rate and the camera of a folder of images."""
 
-    frame_rate_hz: Annotated[float, Field(gt=0.0, description="frames per second that times are made from")] = 30.0
+    frame_rate_hz: Annotated[float, Field(gt=0.0, description="frames per second; frame times follow from it")] = 30.0
 
 
 class Folder(Dataset[FolderParams]):
@@ -51,7 +51,7 @@ class Folder(Dataset[FolderParams]):
             color=params.color,
             sizes_differ=True,
             notes=(*params.subset_notes(len(files)), *known.notes),
-            origin=Origin("folder of pictures", known.source),
+            origin=Origin("folder of images", known.source),
         )
         return params.as_asked(FileSequence(content))
 
@@ -61,10 +61,10 @@ def image_files(folder: Path) -> list[Path]:
     try:
         names = [file for file in folder.iterdir() if not file.name.startswith(".")]
     except OSError as error:
-        raise DatasetError(f"{folder}: cannot be listed: {error.strerror}; `path` names a folder of images") from error
+        raise DatasetError(f"{folder}: cannot be listed: {error.strerror}; set `path` to a folder of images") from error
     files = [file for file in names if file.suffix.lower() in EXTENSIONS]
     if not files:
-        raise DatasetError(f"{folder}: holds no image files ({', '.join(EXTENSIONS)})")
+        raise DatasetError(f"{folder}: contains no image files ({', '.join(EXTENSIONS)})")
     return sorted(files, key=natural_key)
 
 

@@ -18,18 +18,18 @@ from codecbench.plugins.datasets.tables import increasing_times, orthonormalize,
 
 Floats = NDArray[np.float64]
 _Camera = Literal["image_0", "image_1", "image_2", "image_3"]
-_CAMERA_0_POSES_NOTE = "without calibration the poses are those of camera 0, which are taken as this camera's"
+_CAMERA_0_POSES_NOTE = "without calibration the poses of camera 0 are used as this camera's"
 
 
 class KittiParams(FolderSelection, RecordedCameraParams):
-    """Parameters of `kitti`."""
+    """Set the number, camera and ground truth of a KITTI odometry sequence."""
 
     sequence: Annotated[str, Field(pattern=r"^[0-9]{2}$", description="number of two digits, as text: '00'")] = "00"
     camera: Annotated[
         _Camera,
-        Field(description="image_0 and image_1 are gray, image_2 and image_3 colour; even ones are on the left"),
+        Field(description="image_0 and image_1 are gray, image_2 and image_3 color; even ones are the left ones"),
     ] = "image_0"
-    ground_truth: Annotated[bool, Field(description="false for sequences 11 to 21, whose poses are not public")] = True
+    ground_truth: Annotated[bool, Field(description="false for sequences 11 to 21, which have no public poses")] = True
 
 
 class Kitti(Dataset[KittiParams]):
@@ -66,7 +66,7 @@ class Kitti(Dataset[KittiParams]):
             root = root / "dataset"  # the publisher's archives hold this folder
         folder = root / "sequences" / params.sequence
         if not folder.is_dir():
-            raise DatasetError(f"{folder}: is not a folder; `path` names the one that holds sequences/ and poses/")
+            raise DatasetError(f"{folder}: is not a folder; set `path` to the one that contains sequences/ and poses/")
         rows = read_rows(folder / "times.txt", "the list of times", 1)
         times_s = increasing_times([row.number(0) for row in rows], rows)
         chosen = params.indices(len(rows), str(folder / "times.txt"))
@@ -96,11 +96,11 @@ class Kitti(Dataset[KittiParams]):
 
 def read_projection(file: Path, name: str) -> Floats:
     """Read the projection matrix (3, 4) in the row `name:` of a calibration file. Raises DatasetError."""
-    for row in read_rows(file, "calibration", 1, remedy="`fov_deg` makes an ideal camera instead"):
+    for row in read_rows(file, "calibration", 1, remedy="set `fov_deg` for an ideal camera"):
         if row.fields[0] == f"{name}:":
             numbers = row.numbers(1)
             if len(numbers) != 12:
-                raise DatasetError(f"{row.where}: {name} has {len(numbers)} numbers, a projection matrix has 12")
+                raise DatasetError(f"{row.where}: {name} has {len(numbers)} numbers; a projection matrix has 12")
             matrix = np.array(numbers).reshape(3, 4)
             if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or not np.array_equal(matrix[2, :3], [0.0, 0.0, 1.0]):
                 raise DatasetError(f"{row.where}: {name} is not the matrix of a rectified camera")
@@ -127,7 +127,7 @@ def _trajectory(file: Path, times_s: Floats, projection: Floats | None) -> Traje
     """Read camera 0's poses, one line of 12 numbers per frame; `projection` moves them to its camera."""
     rows = read_rows(file, "ground truth", 12, exact=True)
     if len(rows) != len(times_s):
-        raise DatasetError(f"{file}: {len(rows)} poses, but {len(times_s)} times; both have one row a frame")
+        raise DatasetError(f"{file}: {len(rows)} poses, but {len(times_s)} times; both need one row per frame")
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     for index, row in enumerate(rows):
         poses[index, :3] = np.array(row.numbers()).reshape(3, 4)

@@ -24,7 +24,7 @@ Color = Literal["as_is", "rgb", "gray"]
 
 
 class Selection(Params):
-    """Selects frames start, start + stride, ... before stop (default: to the last), except those in skip.
+    """Select frames start, start + stride, ... before stop (default: to the last), except those in skip.
 
     color: `as_is` gives gray files 1 channel and color files 3; `rgb` and `gray` convert. scale: factor on the frames'
     width and height and on the camera's lengths in pixels. calibration_error: see `MiscalibratedSequence`.
@@ -35,14 +35,22 @@ class Selection(Params):
     stride: Annotated[int, Field(ge=1, description="use every stride-th frame")] = 1
     skip: Annotated[
         tuple[Annotated[int, Field(ge=0)], ...],
-        Field(description="frames to leave out, such as damaged ones; counted as start is"),
+        Field(description="frames to leave out, such as damaged ones; counted from 0"),
     ] = ()
     color: Annotated[Color, Field(description="as_is keeps the files' channels; rgb and gray convert")] = "as_is"
     scale: Annotated[
-        float, Field(gt=0.0, le=16.0, description="factor on the frames' width and height, and on the camera's lengths")
+        float,
+        Field(
+            gt=0.0, le=16.0, description="factor on the frames' width and height, and on the camera's lengths in pixels"
+        ),
     ] = 1.0
     calibration_error: Annotated[
-        float, Field(ge=-0.1, le=0.1, description="the camera's k1 is too large by it, its focal length by half of it")
+        float,
+        Field(
+            ge=-0.1,
+            le=0.1,
+            description="error added to the camera's k1; half of it is the relative error of the focal length",
+        ),
     ] = 0.0
 
     def indices(self, count: int, where: str) -> Sequence[int]:
@@ -58,7 +66,7 @@ class Selection(Params):
         skipped = set(self.skip)
         chosen = [index for index in range(self.start, stop, self.stride) if index not in skipped]
         if not chosen:
-            raise DatasetError(f"{where}: skip leaves no frame of those from {self.start} to {stop - 1}")
+            raise DatasetError(f"{where}: skip removes every frame from {self.start} to {stop - 1}")
         return chosen
 
     def subset_notes(self, count: int) -> tuple[str, ...]:
@@ -69,7 +77,7 @@ class Selection(Params):
         if chosen[-1] == len(chosen) - 1:
             return (f"the first {len(chosen):,} of {count:,} frames are used",)
         steps = f", in steps of {self.stride}" if self.stride > 1 else ""
-        skipped = f", without {len(self.skip)} that `skip` names" if self.skip else ""
+        skipped = f", without {len(self.skip)} in `skip`" if self.skip else ""
         span = f"from {chosen[0]:,} to {chosen[-1]:,}{steps}{skipped}"
         return (f"{len(chosen):,} of {count:,} frames are used, {span}",)
 
@@ -103,7 +111,7 @@ class KnownCamera:
 
 
 class FieldOfView(Params):
-    """Parameter of an ideal camera, for recordings without calibration."""
+    """Set an ideal camera for recordings without calibration."""
 
     fov_deg: Annotated[
         float | None,
@@ -119,22 +127,22 @@ class FieldOfView(Params):
             return known
         view = f"{self.fov_deg:g} degrees"
         if known.camera is not None:
-            unused = f"the field of view of {view} (`fov_deg`) is not used: the camera is known from {known.source}"
+            unused = f"`fov_deg`, {view}, is not used: the camera is from {known.source}"
             return replace(known, notes=(*known.notes, unused))
-        ideal = f"the camera is an ideal one of {view}: calibrate it before you trust a path"
+        ideal = f"the camera is an ideal one of {view}: calibrate it before you trust a trajectory"
         return KnownCamera(camera_from_view(*frame_size(), self.fov_deg), "the field of view", (ideal,))
 
 
 class RecordedCameraParams(FieldOfView):
-    """Camera parameters of recordings that include a calibration."""
+    """Set the camera of recordings that include a calibration."""
 
     calibration: Annotated[
-        Literal["auto", "none"], Field(description="auto: the recording's own; none: it is not read")
+        Literal["auto", "none"], Field(description="auto: read the recording's own; none: do not read it")
     ] = "auto"
 
 
 class GivenCameraParams(FieldOfView):
-    """Camera parameters of recordings without calibration: a calibration file, or an ideal camera's field of view."""
+    """Set the camera of recordings without calibration by a file, or by an ideal camera's field of view."""
 
     calibration: Annotated[PathParam | None, Field(description="calibration file of the camera")] = None
 
@@ -164,10 +172,12 @@ def read_camera_file(calibration: Path) -> tuple[KnownCamera, float | None]:
 
 
 class FolderSelection(Selection):
-    """Selection from a folder on disk: the user's own, or one fetched by `codecbench data fetch`."""
+    """Select from a folder on disk: your own, or one fetched by `codecbench data fetch`."""
 
     path: Annotated[PathParam | None, Field(description="folder of the sequence")] = None
-    fetched: Annotated[str | None, Field(description="name of a dataset of `codecbench data list`, instead")] = None
+    fetched: Annotated[
+        str | None, Field(description="instead of path: name of a dataset in `codecbench data list`")
+    ] = None
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
@@ -180,7 +190,7 @@ class FolderSelection(Selection):
         if self.path is None:
             return catalog.path(str(self.fetched))
         if not self.path.is_dir():
-            raise DatasetError(f"{self.path}: is not a folder; `path` names the one that holds {holds}")
+            raise DatasetError(f"{self.path}: is not a folder; set `path` to the one that contains {holds}")
         return self.path
 
 

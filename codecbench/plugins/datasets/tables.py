@@ -125,7 +125,7 @@ def transforms_from_quaternions(poses: Floats, where: Callable[[int], str]) -> F
         raise DatasetError(f"{where(wrong[0])}: quaternion has length {norms[wrong[0]]:.4g}, not 1")
     wrong = np.flatnonzero(~np.isfinite(poses[:, :3]).all(axis=1))
     if len(wrong):
-        raise DatasetError(f"{where(wrong[0])}: position holds a number that is not finite")
+        raise DatasetError(f"{where(wrong[0])}: position contains a number that is not finite")
     transforms = np.tile(np.eye(4), (len(poses), 1, 1))
     transforms[:, :3, :3] = _rotations(poses[:, 3:] / norms[:, None])
     transforms[:, :3, 3] = poses[:, :3]

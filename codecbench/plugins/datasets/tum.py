@@ -26,11 +26,11 @@ _FOLDER_NAME = re.compile(r"freiburg([123])(?![0-9])")
 
 
 class TumParams(FolderSelection, GivenCameraParams):
-    """Parameters of `tum`."""
+    """Set the camera and the ground truth of a TUM RGB-D sequence."""
 
     camera: Annotated[
         Literal["auto", "freiburg1", "freiburg2", "freiburg3", "none"],
-        Field(description="auto: calib.yaml beside the frames, else by `freiburgN` in the folder's name"),
+        Field(description="auto: calib.yaml next to rgb.txt, else by `freiburgN` in the folder's name"),
     ] = "auto"
     ground_truth: Annotated[bool, Field(description="false for a sequence without groundtruth.txt")] = True
 
@@ -115,7 +115,7 @@ def _known_camera(params: TumParams, folder: Path) -> tuple[KnownCamera, float |
         return KnownCamera(), None
     if match is None:
         raise DatasetError(
-            f"{beside}: calibration is missing, and the folder's name does not hold freiburg1, 2 or 3; "
+            f"{beside}: calibration is missing, and the folder's name does not contain freiburg1, 2 or 3; "
             "give `camera`, `calibration`, `fov_deg`, or `camera: none`"
         )
     return KnownCamera(FREIBURG[match[0]], f"the folder's name ({match[0]})"), None

@@ -37,10 +37,12 @@ _LEAST_LOSS_S = 1.0
 
 
 class VideoParams(Selection, GivenCameraParams):
-    """Parameters of `video`."""
+    """Set the frame rate and the camera of a video file."""
 
     path: Annotated[PathParam, Field(description="video file")]
-    frame_rate_hz: Annotated[float | None, Field(gt=0.0, description="instead of the file's own times")] = None
+    frame_rate_hz: Annotated[
+        float | None, Field(gt=0.0, description="frames per second, instead of the file's own times")
+    ] = None
 
 
 class Video(Dataset[VideoParams]):
@@ -118,7 +120,7 @@ class VideoSequence(FrameSequence):
         coding = f"{index.coding} video".strip()
         self._origin = Origin(coding, known.source)
         if index.coding.upper() not in _LOSSLESS:
-            self.notes += (f"its frames are decoded {coding}: raw is what that left of them",)
+            self.notes += (f"its frames are decoded {coding}: raw includes its losses",)
         if self.camera is not None and (self.camera.width, self.camera.height) != (index.width, index.height):
             size = f"{self.camera.width}x{self.camera.height}"
             raise DatasetError(f"{self._file}: is {index.width}x{index.height}, but the calibration is for {size}")
@@ -212,7 +214,7 @@ def _index_version(file: Path, _size_bytes: int, _mtime_ns: int) -> _Index:
         times_s.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
     capture.release()
     if not times_s:
-        raise DatasetError(f"{file}: holds no frame that OpenCV can decode")
+        raise DatasetError(f"{file}: contains no frame that OpenCV can decode")
     index = _Index(tuple(times_s), rate_hz, width, height, coding, is_gray, "")
     length_s, declared_s = times_s[-1] - times_s[0], declared_frames / rate_hz
     if not index.has_times or length_s >= 0.98 * declared_s - _LEAST_LOSS_S:
@@ -226,10 +228,10 @@ def _open_capture(file: Path) -> cv2.VideoCapture:
     if not capture.isOpened():
         if _begins_as_mp4(file) and not _has_index(file):
             raise DatasetError(
-                f"{file}: is cut off: it has no index (`moov`), which is written last into MP4 and MOV files; "
-                "`untrunc` may restore it by a whole file of the same camera, and recordings as MKV survive a cut"
+                f"{file}: is cut off: it has no index (`moov`), which MP4 and MOV files get last; "
+                "`untrunc` may restore it with a complete file of the same camera; MKV recordings survive a cut"
             )
-        raise DatasetError(f"{file}: not a video that OpenCV can open; convert it, or check that it is whole")
+        raise DatasetError(f"{file}: not a video that OpenCV can open; convert it, or check that it is complete")
     return capture
 
 

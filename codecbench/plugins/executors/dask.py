@@ -45,25 +45,27 @@ _LOOK_EVERY_S: Final = 5.0
 
 
 class DaskParams(Params):
-    """Where the workers are.
+    """Set the cluster that runs the tasks.
 
-    Without `address`, a cluster of the kind `cluster` is made for the run and closed after it, with
-    `options` as keyword arguments of its class.
+    Without `address`, the run makes a cluster of the kind `cluster`, with `options` as keyword arguments of its class,
+    and closes it at its end.
     """
 
     cluster: Literal["local", "ssh", "slurm", "pbs"] | None = Field(
-        None, description="what kind of cluster to make; default: local"
+        None, description="kind of cluster to make; default: local"
     )
-    options: dict[str, Any] = Field(default_factory=dict, description="for LocalCluster, SSHCluster and so on")
-    address: str | None = Field(None, description="use the cluster whose scheduler is at tcp://host:port")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="keyword arguments of LocalCluster, SSHCluster and so on"
+    )
+    address: str | None = Field(None, description="scheduler of an existing cluster, tcp://host:port")
     shared_files: bool | None = Field(
         None, description="workers see the run folder under the same path; default: yes for a local cluster only"
     )
     paths: dict[str, str] = Field(
-        default_factory=dict, description="folders of sequences here, and where workers find them"
+        default_factory=dict, description="folders of sequences on this machine, each with its path on workers"
     )
-    retries: int = Field(2, ge=0, description="how often a task is tried again whose worker died")
-    start_timeout_s: float = Field(600.0, gt=0, description="how long to wait for the first worker")
+    retries: int = Field(2, ge=0, description="how often to retry a task after its worker dies")
+    start_timeout_s: float = Field(600.0, gt=0, description="longest wait for the first worker, in seconds")
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -142,7 +144,7 @@ class DaskExecutor(Executor[DaskParams]):
             return None
         del self._running[task_id]
         self._fill()
-        return finished or Finished(task_id, "crashed", reason="the cluster lost it with the worker that held it")
+        return finished or Finished(task_id, "crashed", reason="the cluster lost its result with the worker")
 
     def stop(self) -> None:
         self._stopping = True
@@ -220,7 +222,7 @@ class DaskExecutor(Executor[DaskParams]):
         elif now - self._last_seen > self.params.start_timeout_s:
             place = self.params.address or f"the {self.params.cluster_kind} cluster"
             message = f"no dask worker at {place} for {self.params.start_timeout_s:g} s"
-            raise CodecbenchError(f"{message}; what is finished is kept: fix this and run again")
+            raise CodecbenchError(f"{message}; finished work is kept: fix this and run again")
         if self._cluster is not None and present < self._worker_count:
             self._cluster.scale(self._worker_count)
 

@@ -39,7 +39,7 @@ _LAUNCHES: Final = 3
 """How often a task is started whose worker dies before it begins."""
 _UNKNOWN: Final = 255
 """Exit status that multiprocessing reports if it cannot know the real one."""
-_LOST: Final = "its worker was lost with the process that starts workers, which some plugin or the system ended"
+_LOST: Final = "its worker was lost with the process that starts workers, which a plugin or the system killed"
 _OUTPUT_TAIL: Final = 8192
 _OUTPUT_LIMIT: Final = 16 << 20
 
@@ -169,7 +169,7 @@ class WorkerPool:
                 return self._restart(slot, _describe_death(exitcode))
             return self._end(slot, "crashed", _describe_death(exitcode), discard=True)
         if isinstance(error, RuntimeError) and (slot.pool is None or not slot.pool.active):
-            return self._restart(slot, f"its worker could not start or answer: {error}")
+            return self._restart(slot, f"its worker could not start or respond: {error}")
         text = " ".join(f"{type(error).__name__}: {error}".split())
         return self._end(slot, "failed", text, traceback=str(error.__cause__ or ""))
 
@@ -270,9 +270,9 @@ def _describe_death(exitcode: int) -> str:
     if exitcode < 0:
         names = {int(number): number.name for number in signal.Signals}
         name = names.get(-exitcode, f"signal {-exitcode}")
-        hint = "; the system kills processes so when memory runs out" if name == "SIGKILL" else ""
-        return f"its worker died of {name}{hint}"
-    return f"its worker exited with status {exitcode} in the middle of it"
+        hint = "; the system does this when memory runs out" if name == "SIGKILL" else ""
+        return f"its worker was killed by {name}{hint}"
+    return f"its worker exited with status {exitcode} during the task"
 
 
 def _output_tail(path: Path) -> str:

@@ -118,7 +118,7 @@ def test_other_rates_need_no_search(values: dict[str, Any]) -> None:
 
 def test_preparing_refuses_what_encoding_refuses() -> None:
     codec = Jpeg2000.create(cr_percent=90)
-    with pytest.raises(Unsupported, match="this frame takes"):
+    with pytest.raises(Unsupported, match="this frame needs"):
         codec.prepared(GRAY[:9, :9])
     with pytest.raises(ImageError):
         codec.prepared(GRAY.astype(np.float32))

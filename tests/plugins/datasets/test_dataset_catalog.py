@@ -192,12 +192,10 @@ def test_no_server_at_all(server):
 
 def test_a_wrong_checksum_is_refused_and_deleted(server, own_cache):
     server.files["some.tgz"] = tar_of(CONTENT)
-    with pytest.raises(DatasetError) as caught:
+    with pytest.raises(
+        DatasetError, match=rf"^{re.escape(server.url('some.tgz'))}: .*catalog's: {'0' * 64}\).*deleted"
+    ):
         fetch_entry(entry(server, sha256=("0" * 64,)))
-    assert str(caught.value) == (
-        f"{server.url('some.tgz')}: what came does not have the right checksum (the catalogue's: {'0' * 64}); it was "
-        "deleted: fetch again, and if that fails the publisher has changed the file"
-    )
     assert not list(own_cache.rglob("*.tgz"))
     right = hashlib.sha256(server.files["some.tgz"]).hexdigest()
     assert fetch_entry(entry(server, sha256=(right,))).is_dir()
@@ -247,7 +245,7 @@ def test_members_outside_the_folder_are_refused(tmp_path, name, kind):
 def test_members_without_a_name_are_refused(tmp_path, kind, name):
     archive = tmp_path / f"odd.{kind}"
     archive.write_bytes((tar_of if kind == "tgz" else zip_of)({"good": b"1", name: b"2"}))
-    with pytest.raises(DatasetError, match="which names none; "):
+    with pytest.raises(DatasetError, match="not a file name"):
         unpack(archive, tmp_path / "target")
     assert [file.name for file in tmp_path.iterdir()] == [archive.name]
 
@@ -293,13 +291,9 @@ def test_the_catalogue_is_complete_and_the_paper_comes_first():
 
 
 def test_names_that_are_not_there():
-    with pytest.raises(DatasetError) as caught:
+    with pytest.raises(DatasetError, match=r"'freiburg1_dekc'; .* freiburg1_desk\?"):
         catalog.find("freiburg1_dekc")
-    hint = "did you mean freiburg1_desk? `codecbench data list` shows all"
-    assert str(caught.value) == f"no dataset is called 'freiburg1_dekc'; {hint}"
-    with pytest.raises(
-        DatasetError, match=r"/kodak: dataset kodak is not there yet; run `codecbench data fetch kodak`"
-    ):
+    with pytest.raises(DatasetError, match=r"/kodak: .* fetch kodak`"):
         catalog.path("kodak")
     with pytest.raises(DatasetError, match=r"(?s)^kitti_odometry: .*image_0"):
         catalog.fetch("kitti_odometry")

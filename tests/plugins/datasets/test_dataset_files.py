@@ -121,14 +121,13 @@ def test_tum_finds_its_camera(tum, tmp_path):
 def test_tum_takes_a_field_of_view_where_there_is_no_calibration(tum):
     known = Tum.create(path=tum, fov_deg=90).open()
     assert known.camera == Tum.create(path=tum).open().camera
-    unused = "the field of view of 90 degrees (`fov_deg`) is not used: the camera is known from calib.yaml"
-    assert known.notes[-1] == unused
+    assert re.match(r"`fov_deg`, 90 degrees, .* calib\.yaml$", known.notes[-1])
     assert Tum.create(path=tum, fov_deg=90, camera="none").open().camera.fx == pytest.approx(16)
     (tum / "calib.yaml").unlink()
     ideal = Tum.create(path=tum, fov_deg=90).open()
     assert (ideal.camera.fx, ideal.camera.width, ideal.camera.cx) == (pytest.approx(16), 32, 15.5)
-    assert ideal.notes[-1] == "the camera is an ideal one of 90 degrees: calibrate it before you trust a path"
-    with pytest.raises(ValidationError, match="give `camera` or `fov_deg`, not both"):
+    assert "ideal one of 90 " in ideal.notes[-1]
+    with pytest.raises(ValidationError, match="`camera` or `fov_deg`"):
         Tum.create(path=tum, fov_deg=90, camera="freiburg1")
 
 
@@ -146,18 +145,18 @@ def test_one_place_must_be_given(values):
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("values", "pattern"),
     [
-        ({"stop": 6}, "rgb.txt: stop is 6, but there are 5 frames; leave it out to use them all"),
-        ({"start": 5}, "rgb.txt: start is 5, which is not below the number of frames (5)"),
-        ({"start": 3, "stop": 2}, "start is 3, which is not below stop (2); no frame is left"),
-        ({"skip": [5]}, "skip has 5, but there are 5 frames, counted from 0"),
-        ({"start": 1, "stop": 3, "skip": [1, 2]}, "skip leaves no frame of those from 1 to 2"),
-        ({"path": "nowhere"}, "nowhere: is not a folder; `path` names the one that holds rgb.txt"),
+        ({"stop": 6}, "stop is 6, .* 5 "),
+        ({"start": 5}, r"rgb\.txt: start is 5, .*\(5\)"),
+        ({"start": 3, "stop": 2}, r"start is 3, .* stop \(2\)"),
+        ({"skip": [5]}, "skip has 5, .* 5 frames"),
+        ({"start": 1, "stop": 3, "skip": [1, 2]}, "skip .* 1 to 2$"),
+        ({"path": "nowhere"}, r"^nowhere: .*`path` .* rgb\.txt$"),
     ],
 )
-def test_selections_that_are_not_there(tum, values, words):
-    assert words in message(Tum, **{"path": tum, **values})
+def test_selections_that_are_not_there(tum, values, pattern):
+    assert re.search(pattern, message(Tum, **{"path": tum, **values}))
 
 
 def test_skipped_frames_are_left_out_and_the_others_keep_their_times(tum):
@@ -275,9 +274,9 @@ def test_a_miscalibrated_camera_sees_the_same_and_says_another_lens(layout, scal
 
 def test_a_calibration_is_wrong_only_where_there_is_one(tum):
     (note,) = Tum.create(path=tum, calibration_error=0.1).open().notes
-    assert note == "its calibration is wrong on purpose: k1 by +0.1, the focal length by +5 %"
-    said = "rgb: no camera is known that could be wrong; set `calibration_error: 0.0` to go without it"
-    assert message(Folder, path=tum / "rgb", calibration_error=0.01) == said
+    assert re.search(r"k1 by \+0\.1, .* \+5 %$", note)
+    said = message(Folder, path=tum / "rgb", calibration_error=0.01)
+    assert quoted(said) == ["calibration_error", "calibration_error: 0.0"]
     with pytest.raises(ValidationError, match=r"calibration_error\n.* equal to 0\.1 "):
         Tum.create(path=tum, calibration_error=0.2)
 
@@ -290,10 +289,10 @@ def test_a_calibration_of_another_size_costs_itself(tum):
 def test_frames_that_do_not_fit_are_named_when_they_are_read(tum):
     sequence = Tum.create(path=tum).open()
     write_picture(tum / "rgb" / "2.png", picture(2, (20, 32, 3)))
-    with pytest.raises(DatasetError, match=r"2\.png: is 32x20, the first frame 32x24; set `skip: \[2\]` to go without"):
+    with pytest.raises(DatasetError, match=r"2\.png: is 32x20, .* 32x24; set `skip: \[2\]`"):
         sequence.read(2)
     write_picture(tum / "rgb" / "2.png", picture(2, (24, 32)))
-    with pytest.raises(DatasetError, match=r"2\.png: has 1 channel\(s\), the first frame 3; choose `color: rgb`"):
+    with pytest.raises(DatasetError, match=r"2\.png: has 1 .* 3; .*`color: rgb`"):
         sequence.read(2)
     assert Tum.create(path=tum, color="rgb").open().read(2).image.shape == (24, 32, 3)
     (tum / "rgb" / "2.png").unlink()
@@ -392,7 +391,7 @@ def test_folder_with_a_camera_checks_sizes(tmp_path):
 
 
 def test_folder_without_images(tmp_path):
-    assert re.search(r"holds no .*\(\.png", message(Folder, path=tmp_path))
+    assert re.search(r"contains no .*\(\.png", message(Folder, path=tmp_path))
     assert "is not a folder" in message(Folder, path=tmp_path / "nowhere")
     (tmp_path / "a.png").write_text("hello")
     assert re.search(r"a\.png: .*\(5 bytes\)", message(Folder, path=tmp_path))
@@ -576,92 +575,44 @@ TRUTH_NS = START_NS + 5_000_000
 @pytest.mark.parametrize(
     ("layout", "file", "before", "after", "pattern"),
     [
-        ("tum", "rgb.txt", "100.040000", "100.0x", r"rgb.txt:4: field 1 is '100.0x', which is not a finite number$"),
+        ("tum", "rgb.txt", "100.040000", "100.0x", r"rgb.txt:4: field 1 .*'100.0x'"),
         ("tum", "rgb.txt", "100.040000", "nan", r"rgb.txt:4: .*'nan'"),
-        (
-            "tum",
-            "rgb.txt",
-            "100.040000",
-            "100.000000",
-            r"rgb.txt:4: time 100.000000 repeats that of the row before; sort the file$",
-        ),
-        ("tum", "rgb.txt", "100.040000", "99.5", r"rgb.txt:4: time 99.5 is before "),
-        ("tum", "rgb.txt", " rgb/1.png", "", r"rgb.txt:4: 1 field\(s\), the list of frames has 2$"),
-        ("tum", "rgb.txt", "rgb/1.png", "rgb/9.png", r"rgb/9.png: frame is missing; fetch or copy the sequence again"),
-        ("tum", "rgb.txt", WHOLE, "# nothing\n", r"rgb.txt: the list of frames has no rows$"),
-        ("tum", "rgb.txt", WHOLE, b"\xff\xfe\x00", r"rgb.txt: the list of frames is not text, at byte 0$"),
-        ("tum", "rgb.txt", WHOLE, None, r"rgb.txt: the list of frames is missing$"),
-        (
-            "tum",
-            "0.png",
-            WHOLE,
-            "hello",
-            r"0.png: not an image that OpenCV can read \(5 bytes\); fetch or copy it again; set `skip: \[0\]` to",
-        ),
+        ("tum", "rgb.txt", "100.040000", "100.000000", r"rgb.txt:4: time 100.000000 repeats"),
+        ("tum", "rgb.txt", "100.040000", "99.5", r"rgb.txt:4: time 99.5 is before"),
+        ("tum", "rgb.txt", " rgb/1.png", "", r"rgb.txt:4: 1 field.* has 2$"),
+        ("tum", "rgb.txt", "rgb/1.png", "rgb/9.png", r"rgb/9.png: .*missing"),
+        ("tum", "rgb.txt", WHOLE, "# nothing\n", r"rgb.txt: .* no rows$"),
+        ("tum", "rgb.txt", WHOLE, b"\xff\xfe\x00", r"rgb.txt: .*not text, .* 0$"),
+        ("tum", "rgb.txt", WHOLE, None, r"rgb.txt: .* missing$"),
+        ("tum", "0.png", WHOLE, "hello", r"0.png: .*\(5 bytes\).*`skip: \[0\]`"),
         ("tum", "groundtruth.txt", "99.950000000000", "99.9", r"groundtruth.txt:3: time 99.9 repeats"),
         ("tum", "groundtruth.txt", "99.950000000000", "inf", r"groundtruth.txt:3: .*'inf'"),
         ("tum", "groundtruth.txt", "99.950000000000 ", "99.95 5 ", r"groundtruth.txt:3: 9 .* has 8"),
         (
             "tum",
             "groundtruth.txt",
-            "99.950000000000 ",
-            "99.95 0 0 0 0 0 0 0.5\n99.96 ",
-            r"groundtruth.txt:3: quaternion has length 0.5, not 1",
+            "99.95000000000",
+            "99.95 0 0 0 0 0 0 0.5\n99.96",
+            r"groundtruth.txt:3: .* 0.5, not 1",
         ),
         ("tum", "calib.yaml", "fx: 30.5", "fx: wide", r"calib.yaml:5: `fx` .*'wide'"),
         ("tum", "calib.yaml", "fx: 30.5\n", "", r"calib.yaml: `fx` is missing"),
-        ("tum", "calib.yaml", "fx: 30.5", "fx: -1", r"calib.yaml:5: `fx` is -1, which is not above 0"),
+        ("tum", "calib.yaml", "fx: 30.5", "fx: -1", r"calib.yaml:5: `fx` is -1,"),
         ("tum", "calib.yaml", "fps: 25", "fps: 0", r"calib.yaml:4: `fps` is 0"),
-        (
-            "tum",
-            "calib.yaml",
-            "pinhole",
-            "fisheye",
-            r"calib.yaml:1: `model` is 'fisheye'; `pinhole` and `equidistant` are known",
-        ),
-        (
-            "tum",
-            "calib.yaml",
-            "model: pinhole",
-            "note: at 5:30: sunny",
-            r"calib.yaml:1: calibration is not YAML: mapping values are not allowed here in 'note: at 5:30: sunny'",
-        ),
-        (
-            "tum",
-            "calib.yaml",
-            "width: 32",
-            "width: 64",
-            r"0.png: is 32x24, but the calibration is for 64x24; scale one",
-        ),
+        ("tum", "calib.yaml", "pinhole", "fisheye", r"calib.yaml:1: .*'fisheye'; .*`pinhole` and `equidistant`"),
+        ("tum", "calib.yaml", "model: pinhole", "note: at 5:30: x", r"calib.yaml:1: .*not YAML.* 'note: at 5:30: x'"),
+        ("tum", "calib.yaml", "width: 32", "width: 64", r"0.png: is 32x24, .* 64x24"),
         ("kitti", "times.txt", "0.1", "x", r"times.txt:2: .*'x'"),
         ("kitti", "times.txt", "0.1\n", "0.1\n0.1\n", r"times.txt:3: time 0.1 repeats"),
-        ("kitti", "calib.txt", "P0:", "Q0:", r"calib.txt: calibration has no row `P0:`"),
-        ("kitti", "calib.txt", "P0: 30", "P0:", r"calib.txt:1: P0 has 11 numbers, a projection matrix has 12"),
-        ("kitti", "calib.txt", "P0: 30", "P0: -30", r"calib.txt:1: P0 is not the matrix of a rectified camera"),
+        ("kitti", "calib.txt", "P0:", "Q0:", r"calib.txt: .* no row `P0:`"),
+        ("kitti", "calib.txt", "P0: 30", "P0:", r"calib.txt:1: P0 has 11 .* 12"),
+        ("kitti", "calib.txt", "P0: 30", "P0: -30", r"calib.txt:1: P0 .*rectified camera"),
         ("kitti", "07.txt", "\n", "\n1 2 3\n", r"07.txt:2: 3 .* has 12"),
-        ("kitti", "07.txt", "\n", f"\n{STILL}\n", r"07.txt: 5 poses, but 4 times; both have one row a frame"),
-        (
-            "kitti",
-            "07.txt",
-            WHOLE,
-            f"{STILL}\n{STILL.replace('1', '2')}\n" * 2,
-            r"07.txt:2: the first three columns are not a rotation",
-        ),
-        (
-            "euroc",
-            "cam0/data.csv",
-            f"{NS[0]},",
-            "12.5,",
-            r"data.csv:2: field 1 is '12.5', which is not a whole number of ns$",
-        ),
+        ("kitti", "07.txt", "\n", f"\n{STILL}\n", r"07.txt: 5 poses, .* 4 times"),
+        ("kitti", "07.txt", WHOLE, f"{STILL}\n{STILL.replace('1', '2')}\n" * 2, r"07.txt:2: .*not a rotation"),
+        ("euroc", "cam0/data.csv", f"{NS[0]},", "12.5,", r"data.csv:2: field 1 .*'12.5'.* ns$"),
         ("euroc", "cam0/data.csv", f"{NS[1]},", f"{NS[0]},", rf"data.csv:3: time {NS[0]} repeats"),
-        (
-            "euroc",
-            "sensor.yaml",
-            "pinhole",
-            "omni",
-            r"sensor.yaml:9: `camera_model` is 'omni'; only `pinhole` is known",
-        ),
+        ("euroc", "sensor.yaml", "pinhole", "omni", r"sensor.yaml:9: `camera_model` .*'omni'.*`pinhole`"),
         (
             "euroc",
             "sensor.yaml",
@@ -669,8 +620,8 @@ TRUTH_NS = START_NS + 5_000_000
             "fov",
             r"sensor.yaml:11: `distortion_model` .*'fov'.*`radial-tangential`.*`equidistant`",
         ),
-        ("euroc", "sensor.yaml", "[32, 24]", "[32]", r"sensor.yaml:8: `resolution` is \[32\], not a list of 2 numbers"),
-        ("euroc", "sensor.yaml", "30.5", "-30.5", r"sensor.yaml:10: `intrinsics` holds a number that is not above 0"),
+        ("euroc", "sensor.yaml", "[32, 24]", "[32]", r"sensor.yaml:8: `resolution` .*\[32\], .* 2 numbers"),
+        ("euroc", "sensor.yaml", "30.5", "-30.5", r"sensor.yaml:10: `intrinsics` .*above 0"),
         ("euroc", "sensor.yaml", "  data: [", "  data: [9, ", r"`T_BS.data` is \[9"),
         ("euroc", TRUTH, f"{TRUTH_NS},", f"{TRUTH_NS},x", r"data.csv:3: .*'x"),
     ],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import cv2
 import numpy as np
 import pytest
@@ -126,9 +124,5 @@ def test_frames_that_would_be_too_small(spot, scale):
 
 def test_frames_that_would_be_too_large(tmp_path):
     assert cv2.imwrite(str(tmp_path / "0.png"), np.zeros((1024, 1024), np.uint8))
-    said = (
-        "`scale` 16 makes 16384x16384 of frames of 1024x1024; "
-        "at least 16 pixels a side and at most 67,108,864 in all are allowed: choose another"
-    )
-    with pytest.raises(DatasetError, match=f"{re.escape(said)}$"):
+    with pytest.raises(DatasetError, match=r"`scale` 16 .*16384x16384 .*1024x1024; .* 16 pixels .* 67,108,864 "):
         Folder.create(path=tmp_path, scale=16.0).open()

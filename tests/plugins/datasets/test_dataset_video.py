@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -68,7 +70,7 @@ def test_fingerprint_follows_bytes_and_selection(video, tmp_path):
     assert Video.create(path=copy).open().fingerprint != plain
 
 
-def test_a_file_that_is_cut_short_is_used_up_to_there_if_that_is_said(video, tmp_path):
+def test_a_truncated_file_is_used_up_to_its_damage_if_stop_is_set(video, tmp_path):
     content = video.read_bytes()
     cut = tmp_path / f"cut{video.suffix}"
     cut.write_bytes(content[: len(content) // 2])
@@ -79,11 +81,11 @@ def test_a_file_that_is_cut_short_is_used_up_to_there_if_that_is_said(video, tmp
         assert Video.recognise(cut) == {"path": str(cut)}
         return
     stop = caught.value.without["stop"]
-    said = f"is cut short: {(stop - 1) / 25:.1f} s of 8.0 s can be decoded, {stop} frames"
     assert 80 < stop < 120
-    assert str(caught.value) == f"{cut}: {said}; set `stop: {stop}` to go without it"
+    facts = rf" {(stop - 1) / 25:.1f} s of 8\.0 s .* {stop} frames"
+    assert re.search(f"{facts}; set `stop: {stop}` ", str(caught.value))
     sequence = Video.create(path=cut, stop=stop).open()
-    assert any(said in note for note in sequence.notes)
+    assert any(re.search(facts, note) for note in sequence.notes)
     np.testing.assert_array_equal(sequence.read(stop - 1).image, Video.create(path=video).open().read(stop - 1).image)
 
 

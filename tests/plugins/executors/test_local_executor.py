@@ -202,7 +202,7 @@ def test_an_exception_is_failed_with_its_traceback(executor: LocalExecutor) -> N
 def test_a_segfault_names_its_signal_and_where_it_was(executor: LocalExecutor) -> None:
     found = beside_others(executor, Task("bad", segfault, None))
     assert found.status == "crashed"
-    assert "died of SIGSEGV" in found.reason
+    assert "killed by SIGSEGV" in found.reason
     assert "segfault" in found.traceback
 
 

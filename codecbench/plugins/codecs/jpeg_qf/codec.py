@@ -40,16 +40,18 @@ _NARROWEST_SMOOTHED = 3
 
 
 class JpegQfParams(Params):
-    """The paper's factor, and what a JFIF file leaves open."""
+    """Set the paper's factor, and what a JFIF file leaves open."""
 
-    qf: float = Field(5.0, gt=0, le=1000, description="factor on the quantisation table; the paper's are 5 to 100")
+    qf: float = Field(5.0, gt=0, le=1000, description="factor on the quantization table; the paper uses 5 to 100")
     table: Literal["paper", "standard"] = Field(
         "paper", description="T.81's K.1 and K.2 (standard), or these with 1 in their first six zigzag places (paper)"
     )
     color: Literal["gray", "ycbcr444", "ycbcr420"] = Field(
-        "ycbcr444", description="planes of a colour image; a gray image is always one plane"
+        "ycbcr444", description="planes of a color image; a gray image is always one plane"
     )
-    optimize: bool = Field(False, description="Huffman tables made for the image (T.81 K.2), not the example ones")
+    optimize: bool = Field(
+        False, description="compute Huffman tables for each image (T.81 K.2) instead of using the example tables"
+    )
 
 
 class JpegQf(Codec[JpegQfParams]):

@@ -14,10 +14,10 @@ from codecbench.core.counting.kernel import kernel
 OK, CUT_SHORT, BAD_CODE, BAD_RUN, BAD_SIZE, OUT_OF_RANGE, LEFT_OVER, BAD_RESTART = range(8)
 REASONS = {
     CUT_SHORT: "the scan ends before its last block",
-    BAD_CODE: "bits that are no Huffman code",
-    BAD_RUN: "a run of zeros leaves its block",
+    BAD_CODE: "bits that are not a Huffman code",
+    BAD_RUN: "a run of zeros exceeds its block",
     BAD_SIZE: "a coefficient has more bits than baseline allows",
-    OUT_OF_RANGE: "a DC coefficient leaves its range",
+    OUT_OF_RANGE: "a DC coefficient is out of range",
     LEFT_OVER: "bytes are left over after the last block",
     BAD_RESTART: "restart markers are missing, misplaced or out of order",
 }

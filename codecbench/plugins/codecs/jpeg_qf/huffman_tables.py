@@ -32,7 +32,7 @@ class HuffmanTable:
         for length, count in enumerate(self.lengths, 1):
             code += count
             if code > 1 << length:
-                raise BitstreamError(f"jpeg_qf: more codes of {length} bits than there can be")
+                raise BitstreamError(f"jpeg_qf: too many codes of {length} bits")
             code <<= 1
         if len(set(self.symbols)) != len(self.symbols):
             raise BitstreamError("jpeg_qf: a Huffman table codes a symbol twice")

@@ -146,10 +146,10 @@ def _read_quantizers(content: bytes) -> dict[int, NDArray[np.uint16]]:
         precision, destination = content[position] >> 4, content[position] & 15
         steps = content[position + 1 : position + 1 + 64 * (1 + precision)]
         if precision > 1 or destination > 3 or len(steps) != 64 * (1 + precision):
-            raise BitstreamError(f"jpeg_qf: a quantisation table for {destination} of precision {precision} is broken")
+            raise BitstreamError(f"jpeg_qf: a quantization table for {destination} of precision {precision} is broken")
         quantizers[destination] = np.frombuffer(steps, ">u2" if precision else np.uint8).astype(np.uint16)
         if quantizers[destination].min() == 0:
-            raise BitstreamError("jpeg_qf: a quantisation step is zero")
+            raise BitstreamError("jpeg_qf: a quantization step is zero")
         position += 1 + len(steps)
     return quantizers
 
@@ -161,7 +161,7 @@ def _read_huffman_tables(content: bytes) -> dict[tuple[int, int], HuffmanTable]:
         lengths = content[position + 1 : position + 17]
         symbols = content[position + 17 : position + 17 + sum(lengths)]
         if kind > 1 or destination > 3:
-            raise BitstreamError(f"jpeg_qf: a Huffman table of class {kind} for {destination} cannot be")
+            raise BitstreamError(f"jpeg_qf: a Huffman table of class {kind} for {destination} is invalid")
         tables[kind, destination] = HuffmanTable(lengths, symbols)
         position += 17 + len(symbols)
     return tables
@@ -175,14 +175,14 @@ def _read_restart_interval(content: bytes) -> int:
 
 def _check_adobe(content: bytes) -> None:
     if content.startswith(b"Adobe") and len(content) == 12 and content[11] != 1:
-        raise BitstreamError(f"jpeg_qf: Adobe colour transform {content[11]}; only gray and YCbCr are read")
+        raise BitstreamError(f"jpeg_qf: Adobe color transform {content[11]}; only gray and YCbCr are read")
 
 
 def _read_scan_header(content: bytes, components: tuple[Component, ...]) -> tuple[tuple[int, int], ...]:
     """DC and AC destinations of each component of the frame; the scan must have all components in order."""
     count = len(components)
     if len(content) != 1 + 2 * count + len(_SEQUENTIAL) or content[0] != count:
-        raise BitstreamError(f"jpeg_qf: the scan does not hold the {count} component(s) of the frame")
+        raise BitstreamError(f"jpeg_qf: the scan does not contain the {count} component(s) of the frame")
     if content[-3:] != _SEQUENTIAL or list(content[1:-3:2]) != [component.id for component in components]:
         raise BitstreamError("jpeg_qf: the scan header does not fit a sequential frame")
     selectors = tuple((byte >> 4, byte & 15) for byte in content[2:-3:2])
@@ -195,7 +195,7 @@ def _check_tables_and_sampling(picture: CodedPicture) -> None:
     components = picture.header.components
     for component, (dc, ac) in zip(components, picture.selectors, strict=True):
         if component.table not in picture.quantizers:
-            raise BitstreamError(f"jpeg_qf: quantisation table {component.table} is not defined")
+            raise BitstreamError(f"jpeg_qf: quantization table {component.table} is not defined")
         if (0, dc) not in picture.huffman_tables or (1, ac) not in picture.huffman_tables:
             raise BitstreamError(f"jpeg_qf: Huffman table DC {dc} or AC {ac} is not defined")
     sampling = tuple((component.h, component.v) for component in components)

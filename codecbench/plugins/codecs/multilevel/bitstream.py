@@ -127,7 +127,7 @@ def checked_reader(bitstream: bytes, *versions: int) -> Reader:
     """Check the version and checksum of a bitstream and return a reader. Raises BitstreamError with the reason."""
     data = bytes(bitstream)
     if version_of(data) not in versions:
-        raise BitstreamError(f"version {data[4]} where {' or '.join(map(str, versions))} is expected")
+        raise BitstreamError(f"version {data[4]}, expected {' or '.join(map(str, versions))}")
     (expected,) = _WORD.unpack(data[-_WORD.size :])
     if (actual := zlib.crc32(data[: -_WORD.size])) != expected:
         raise BitstreamError(f"damaged: CRC-32 is {actual:08x}, the bitstream says {expected:08x}")

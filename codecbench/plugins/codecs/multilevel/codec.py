@@ -182,7 +182,7 @@ class Multilevel(Codec[MultilevelParams]):
         for rows in partial.lost:
             whole[max(rows.start - profile.REACH_ROWS, 0) : rows.stop + profile.REACH_ROWS] = False
         if not whole.any():
-            raise BitstreamError("multilevel: no slice is there whole")
+            raise BitstreamError("multilevel: no slice is complete")
         return PartialImage(partial.image, whole)
 
     def _key_maker(self) -> KeyMaker:

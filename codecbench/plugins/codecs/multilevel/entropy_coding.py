@@ -87,12 +87,12 @@ def _check_searchable(table: LevelTable, size: int, level: int) -> None:
     if pair is not None:
         raise KeyCollision(
             f"level {level}: the digits {pair[0]} and {pair[1]} get the same code under these keys, so a search "
-            f"could not tell them apart; take `keys: canonical` or `decoding: header`"
+            f"cannot distinguish them; set `keys: canonical` or `decoding: header`"
         )
     if not _is_affordable(table.keys, table.radix, len(table.codes), size):
         raise ParamsError(
             f"level {level}: {len(table.codes)} codes of digits 0..{table.radix - 1} take too long to search under "
-            f"keys that are not super-increasing; take `keys: canonical` or `decoding: header`"
+            f"keys that are not super-increasing; set `keys: canonical` or `decoding: header`"
         )
 
 
@@ -185,7 +185,7 @@ def _search(
     if search == "sequential" and len(codes) * radix ** len(keys) > MAX_SEQUENTIAL_TESTS:
         raise ParamsError(
             f"a sequential search of {len(codes)} codes over {radix}^{len(keys)} tuples takes too long; "
-            f"take `search: pruned` or `greedy`"
+            f"set `search: pruned` or `greedy`"
         )
     with trace.stage(f"{search}_search") as run:
         if search == "sequential":

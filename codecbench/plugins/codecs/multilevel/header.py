@@ -186,7 +186,7 @@ def picture_fields(
     )
     channels = 3 if three_channels else 1
     if channels == 1 and COLORS[color] != "gray":
-        raise BitstreamError(f"header: one channel with colour {COLORS[color]}")
+        raise BitstreamError(f"header: one channel with color {COLORS[color]}")
     table = unpack_table(reader, number)
     return {
         "width": width, "height": height, "channels": channels, "color": COLORS[color], "qf": qf, "table": table

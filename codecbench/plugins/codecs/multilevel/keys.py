@@ -86,8 +86,8 @@ def colliding_digits(keys: Keys, radix: int) -> tuple[tuple[int, ...], tuple[int
     free = len(keys) - 2
     if (2 * radix - 1) ** free > MAX_CHECKS:
         raise ParamsError(
-            f"cannot tell whether {len(keys)} keys are one-to-one for digits 0..{radix - 1}: too many tuples; "
-            f"take `keys: canonical` or `decoding: header`"
+            f"cannot check whether {len(keys)} keys are one-to-one for digits 0..{radix - 1}: too many tuples; "
+            f"set `keys: canonical` or `decoding: header`"
         )
     differences = np.zeros(len(keys), dtype=np.int64)
     divisor, inverse = _bezout(int(keys[0]), int(keys[1]))

@@ -73,7 +73,7 @@ def minimize_levels(values: NDArray[np.int32], levels: int, make_keys: KeyMaker,
     """
     with trace.stage("digits") as run:
         smallest, largest = (int(value) for value in run(extremes, values))
-    _check_alphabet(largest - smallest + 1, "quantised values")
+    _check_alphabet(largest - smallest + 1, "quantized values")
     tables: list[LevelTable] = []
     offset, radix = smallest, largest - smallest + 1
     for level in range(1, levels + 1):
@@ -136,7 +136,7 @@ def _group_at(values: NDArray[np.int32], offset: int, filler: int, group: int, i
 def _raise_collision(level: int, first: list[int], second: list[int]) -> None:
     raise KeyCollision(
         f"level {level}: the digits {tuple(first)} and {tuple(second)} get the same code under these keys; "
-        f"take other keys, or `keys: canonical`"
+        f"set other keys, or `keys: canonical`"
     )
 
 

@@ -72,7 +72,7 @@ class Memory:
         """Return the state after a keyframe. Raises BitstreamError if it is no bitstream of one level."""
         parts = unpack(bitstream)
         if parts.header.levels != 1 or parts.header.search:
-            raise BitstreamError("a stream starts with a picture of one level, with its tuples in the header")
+            raise BitstreamError("a stream starts with a keyframe of one level, with its tuples in the header")
         ranks, tuples = entropy_coding.decode(parts, "greedy", NULL_TRACE)
         counts = np.bincount(ranks, minlength=len(tuples[0])).astype(np.int64)
         return cls(parts.header, tuples[0] + np.int32(parts.header.offset), counts, zlib.crc32(bitstream))
@@ -112,7 +112,7 @@ class Memory:
             raise BitstreamError("not a packet of this codec")
         checksum = zlib.crc32(content, self.checksum)
         if packet[-_CRC.size :] != _CRC.pack(checksum):
-            raise BitstreamError("damaged, or it follows another packet than the one before it")
+            raise BitstreamError("damaged, or it does not follow the packet before it")
         _, offset, radix, kept_count, changed, kept_size, new_count, new_size = _HEADER.unpack_from(content)
         groups = -(-self.header.samples // self.header.group)
         if kept_count > len(self.counts) or not 1 <= kept_count + new_count <= groups or not 1 <= radix <= MAX_SYMBOLS:
@@ -133,7 +133,7 @@ class Memory:
             raise BitstreamError("the kept entries are damaged")
         counts = self.counts[order[places]] + _unfold(changes)
         if entries and counts.min() < 1:
-            raise BitstreamError("a kept entry that does not occur")
+            raise BitstreamError("a kept entry without occurrences")
         return self.tuples[order[places]], counts
 
     def _read_ranks(self, payload: bytes, groups: int) -> NDArray[np.int32]:
@@ -183,13 +183,13 @@ def _decode_with(kernel: object, data: bytes, *arguments: object) -> int:
 
 
 class MultilevelStreamParams(Params):
-    """Those of `multilevel` for one level with canonical keys and tuples that are sent, and how far memory goes."""
+    """Set `multilevel` with one level, canonical keys and tuples in the header, and the keyframe interval."""
 
-    qf: float = Field(5.0, ge=MIN_QF, le=MAX_QF, description="factor on the quantisation table")
-    group: int = Field(3, ge=MIN_GROUP, le=MAX_GROUP, description="digits that become one code")
-    color: Color = Field("rgb", description="planes of a colour image; a gray image is always one plane")
+    qf: float = Field(5.0, ge=MIN_QF, le=MAX_QF, description="factor on the quantization table")
+    group: int = Field(3, ge=MIN_GROUP, le=MAX_GROUP, description="digits combined into one code")
+    color: Color = Field("rgb", description="planes of a color image; a gray image is always one plane")
     scan: Scan = Field("block", description="coefficients block by block, or frequency by frequency")
-    gop: int = Field(30, ge=1, le=1000, description="pictures from start to start")
+    gop: int = Field(30, ge=1, le=1000, description="frames from one keyframe to the next")
 
 
 class MultilevelStream(StreamCodec[MultilevelStreamParams]):
@@ -234,7 +234,7 @@ class MultilevelEncoder(StreamEncoder):
     def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
         image = check_image(image)
         if self._memory is not None and image.shape != self._shape:
-            raise ImageError(f"a picture of shape {image.shape} in a stream of shape {self._shape}")
+            raise ImageError(f"a frame of shape {image.shape} in a stream of shape {self._shape}")
         frame = self._pushed
         if self._memory is None or frame % self._gop == 0:
             data = self._intra_codec.encode(image)

@@ -58,7 +58,7 @@ _FIXED = struct.Struct("<4sBBHHBBBBI")
 _WORD = struct.Struct("<I")
 _WORD_BYTES = WORD_BITS // 8
 _ONES = np.full((1, 4), 2**64 - 1, np.uint64)
-_REASONS = {OUTSIDE: "a place is outside its level", NO_CANDIDATE: "a reference is not there"}
+_REASONS = {OUTSIDE: "a position is outside its level", NO_CANDIDATE: "a reference is missing"}
 
 
 @dataclass
@@ -148,7 +148,9 @@ def unpack(packet: bytes, memory: Memory | None) -> UnpackedSet | None:
         return None
     memory = Memory.empty() if starts or memory is None else memory
     if len(content) < _FIXED.size + 2 * levels:
-        raise BitstreamError(f"orb_features: cut off: {len(content)} bytes do not hold the counts of {levels} levels")
+        raise BitstreamError(
+            f"orb_features: cut off: {len(content)} bytes are too few for the counts of {levels} levels"
+        )
     counts = np.frombuffer(content[_FIXED.size : _FIXED.size + 2 * levels], "<u2").astype(np.int64)
     total = int(counts.sum())
     if total > MAX_KEYPOINTS:
@@ -165,7 +167,7 @@ def unpack(packet: bytes, memory: Memory | None) -> UnpackedSet | None:
     if fault:
         raise BitstreamError(f"orb_features: damaged: {_REASONS[fault]}")
     if not (work.decode_lanes(coder, data) if coded else work.read_raw(coder, data)):
-        raise BitstreamError("orb_features: damaged: the payload does not end where its keypoints do")
+        raise BitstreamError("orb_features: damaged: the payload does not end with its last keypoint")
     return UnpackedSet(keypoints, work.memory_after(keypoints, checksum), starts)
 
 

@@ -40,11 +40,12 @@ def _check_step(value: float) -> float:
 
 
 class OrbFeaturesParams(Params):
-    """features: how many are looked for, spread over the image by the SLAM's own extractor. position_step_px: 0.25
-    keeps positions as they are; else they are of a grid of so many pixels of the feature's own pyramid level.
-    angle_bits: for a turn. descriptor: `raw`, `coded` without loss, or `lossy`: one that is much like an earlier one
-    becomes that one. mode: `intra`, each set for itself, or `inter`, after the set before. gop: sets from one that
-    stands alone to the next.
+    """Set how many ORB features are sent, and how exactly.
+
+    features: how many the SLAM's extractor looks for, spread over the image. position_step_px: grid of positions in
+    pixels of the feature's pyramid level; 0.25 is lossless. angle_bits: bits per turn. descriptor: `raw`, `coded`
+    (lossless) or `lossy`: a descriptor that is close to an earlier one is replaced by it. mode: `intra`, each set is
+    independent, or `inter`, predicted from the set before. gop: with `inter`, sets from one keyframe to the next.
     """
 
     features: Annotated[int, Field(ge=100, le=MAX_KEYPOINTS)] = 1000
@@ -146,7 +147,7 @@ class OrbFeatureDecoder(FeatureDecoder):
         if unpacked is None:
             return FeatureSet(frame, None)
         if packet.starts != unpacked.starts:
-            raise BitstreamError(f"orb_features: packet {frame} does not start where it says so")
+            raise BitstreamError(f"orb_features: packet {frame} contradicts its own `starts`")
         self._memory = unpacked.memory
         return FeatureSet(frame, features_of(unpacked.coded.keypoints()))
 
@@ -163,4 +164,4 @@ def _check_codable(keypoints: Keypoints) -> None:
         raise ValueError(f"orb_features: keypoints of levels {levels}; a pyramid of {LEVELS} levels can be coded")
     low, high = keypoints.pixels.min(initial=0.0), (keypoints.pixels - keypoints.size).max(initial=-1.0)
     if low < 0.0 or high > -1.0 + 1e-9:
-        raise ValueError("orb_features: a position is not between the middles of the first and the last pixel")
+        raise ValueError("orb_features: a position is not between the centers of the first and the last pixel")

@@ -53,7 +53,7 @@ def train(descriptors: NDArray[np.uint64]) -> tuple[NDArray[np.int8], NDArray[np
     weights = np.rint(2.0 * UNIT * (predictor / left[:, None]).T)
     biases = np.rint((means - predictor @ means) * (UNIT / left)) - np.rint(0.5 * weights.sum(axis=0))
     if np.abs(weights).reshape(-1, 4, BITS).sum(axis=1).max() > np.iinfo(np.int8).max:
-        raise ValueError("what some four bits say together does not fit into 8 bits; lower UNIT")
+        raise ValueError("the summed weights of some four bits do not fit into 8 bits; lower UNIT")
     if (np.abs(weights).sum(axis=0) + np.abs(biases)).max() >= (STEPS // 2) << STEP_SHIFT:
         raise ValueError(f"the sum of some bit is beyond {STEPS} steps; lower UNIT")
     return weights.astype(np.int8), biases.astype(np.int16)

@@ -16,9 +16,9 @@ from codecbench.plugins.codecs.video.sessions import VideoDecoder, VideoEncoder
 V = TypeVar("V", bound=VideoParams)
 _TRIAL_SIZE = (640, 480)
 _REMARKS = {
-    "gray": "colour is not coded (gray)",
-    "yuv420p": "colour, if any, is coded at half size (yuv420p)",
-    "yuv444p": "colour is coded at full size (yuv444p)",
+    "gray": "color is not coded (gray)",
+    "yuv420p": "color, if any, is coded at half size (yuv420p)",
+    "yuv444p": "color is coded at full size (yuv444p)",
     "rgb": "",
 }
 
@@ -59,7 +59,7 @@ class VideoCodec(StreamCodec[V]):
 
 
 class H264Params(VideoParams):
-    """H.264, by x264 (preset veryfast, crf 23) or by an encoder in hardware."""
+    """Encode H.264 with x264 (default: preset veryfast, crf 23) or a hardware encoder."""
 
     encoder: Literal["libx264", "h264_nvenc", "h264_v4l2m2m", "h264_vaapi"] = Field(
         "libx264", description="FFmpeg's name of the encoder"
@@ -90,7 +90,7 @@ class H264(VideoCodec[H264Params]):
 
 
 class HevcParams(VideoParams):
-    """HEVC (H.265), by x265: preset veryfast, crf 28."""
+    """Encode HEVC (H.265) with x265; default: preset veryfast, crf 28."""
 
     encoder_name = "libx265"
 
@@ -105,7 +105,7 @@ class Hevc(VideoCodec[HevcParams]):
 
 
 class Av1Params(VideoParams):
-    """AV1, by SVT-AV1: preset 8 of 0 (small) to 13 (fast), crf 35."""
+    """Encode AV1 with SVT-AV1; default: preset 8 of 0 (small) to 13 (fast), crf 35."""
 
     encoder_name = "libsvtav1"
 
@@ -121,7 +121,7 @@ class Av1(VideoCodec[Av1Params]):
 
 
 class Vp9Params(VideoParams):
-    """VP9, by libvpx: preset (its cpu-used) 7 of 0 (small) to 9 (fast), crf 32."""
+    """Encode VP9 with libvpx; default: preset (its cpu-used) 7 of 0 (small) to 9 (fast), crf 32."""
 
     encoder_name = "libvpx-vp9"
 
@@ -136,10 +136,10 @@ class Vp9(VideoCodec[Vp9Params]):
 
 
 class MjpegParams(VideoParams):
-    """Motion JPEG, by FFmpeg: a JPEG for each picture, at qp 5 of 1 (large) to 31."""
+    """Encode each frame as a JPEG with FFmpeg; default: qp 5 of 1 (large) to 31 (small)."""
 
     encoder_name = "mjpeg"
-    gop: Gop = Field(1, ge=1, description="1: each picture stands alone")
+    gop: Gop = Field(1, ge=1, description="always 1: frames are independent")
 
 
 class Mjpeg(VideoCodec[MjpegParams]):
@@ -152,10 +152,10 @@ class Mjpeg(VideoCodec[MjpegParams]):
 
 
 class Ffv1Params(VideoParams):
-    """FFV1 (RFC 9043), by FFmpeg: lossless of what it is given."""
+    """Encode FFV1 (RFC 9043) with FFmpeg, lossless in its pixel format."""
 
     encoder_name = "ffv1"
-    pixel_format: PixelFormat = Field("rgb", description="rgb keeps every sample; the others what their format keeps")
+    pixel_format: PixelFormat = Field("rgb", description="rgb is always lossless; other formats may lose color")
 
 
 class Ffv1(VideoCodec[Ffv1Params]):

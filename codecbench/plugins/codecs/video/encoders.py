@@ -63,40 +63,40 @@ class Encoder:
         """Yield what this encoder does not support of the parameters, each with the supported values."""
         names = [name for name in RATES if getattr(params, name) is not None]
         if len(names) > 1:
-            yield f"{' and '.join(names)} are given; a stream is coded by one of {', '.join(self.rates)}"
+            yield f"{' and '.join(names)} are given; set only one of {', '.join(self.rates)}"
         yield from (fault for name in names for fault in self._rate_faults(name, getattr(params, name)))
         if params.preset not in (self.presets or (None,)):
             yield f"{self.name} has no preset {params.preset!r}; it has {_join(self.presets)}"
         if params.pixel_format not in self.pixel_formats:
             allowed = _join(self.pixel_formats)
             yield (
-                f"{self.name} does not code pixel_format {params.pixel_format!r}; it codes {allowed}"
-                " (gray pictures with neutral chroma, and they come back gray)"
+                f"{self.name} does not support pixel_format {params.pixel_format!r}, only {allowed}"
+                " (gray frames get neutral chroma and decode to gray)"
             )
         if params.intra_refresh and not self.intra_refresh:
-            yield f"{self.name} has no intra_refresh after which pictures are whole; libx264 has"
+            yield f"{self.name} does not support intra_refresh; libx264 does"
         if params.intra_refresh and params.latency != "low":
-            yield "intra_refresh is for pictures that are sent in order; latency is low with it"
+            yield "intra_refresh needs frames that are sent in order; set `latency: low`"
         if self.intra_only and params.gop != 1:
-            yield f"{self.name} codes each picture on its own; gop is 1 or intra_only, not {params.gop}"
+            yield f"{self.name} codes independent frames; set gop to 1 or intra_only, not {params.gop}"
         if params.intra_refresh and params.gop < 2:
-            yield "intra_refresh refreshes pictures over `gop` frames; gop has to be 2 or more"
+            yield "intra_refresh takes `gop` frames; set gop to 2 or more"
         if params.latency == "any" and not self.looks_ahead:
-            yield f"{self.name} never holds a picture back; latency is low"
+            yield f"{self.name} never delays frames; set `latency: low`"
         if params.bitrate_kbps is None and _sets_vbv(params):
-            yield "vbv_ms bounds a bitrate; give bitrate_kbps with it"
+            yield "vbv_ms bounds a bit rate; set bitrate_kbps too"
         elif params.latency == "any" and not self.bounds_any and _sets_vbv(params):
-            yield f"{self.name} keeps to no vbv_ms where it looks ahead; leave it out, or latency is low"
+            yield f"{self.name} ignores vbv_ms when it looks ahead; leave it out, or set `latency: low`"
 
     def _rate_faults(self, name: str, value: float) -> Iterator[str]:
         if name not in self.rates:
-            yield f"{self.name} does not code by {name}; it codes by {_join(tuple(self.rates)) or 'no rate at all'}"
+            yield f"{self.name} does not support {name}; supported rates: {_join(tuple(self.rates))}"
             return
         least, most = self.rates[name]
         if not least <= value <= most:
-            yield f"{name} of {self.name} is within {least:g}..{most:g}, got {value:g}"
+            yield f"{name} of {self.name} must be within {least:g}..{most:g}, got {value:g}"
         if name == "crf" and self.integral and value != int(value):
-            yield f"crf of {self.name} is a whole number, got {value:g}"
+            yield f"crf of {self.name} must be a whole number, got {value:g}"
 
     def settings(self, params: VideoParams) -> Options:
         """All FFmpeg options by name."""
@@ -128,24 +128,32 @@ Gop = Annotated[int, BeforeValidator(_frames_from_gop, json_schema_input_type=in
 
 
 class VideoParams(Params):
-    """Parameters of a video encoder: a rate by one of `crf`, `qp` and `bitrate_kbps`, and how it codes.
+    """Set a video encoder's rate, by one of `crf`, `qp` and `bitrate_kbps`, and how it codes.
 
-    A missing rate, preset or pixel format is the encoder's usual one.
+    A missing rate, preset or pixel format gets the encoder's default.
     """
 
     encoder_name: ClassVar[str]
     """FFmpeg's name of the encoder."""
 
-    crf: float | None = Field(None, description="constant quality, on the encoder's scale: the higher, the smaller")
-    qp: int | None = Field(None, description="constant quantiser, on the encoder's scale: the higher, the smaller")
-    bitrate_kbps: float | None = Field(None, description="bit rate at the sequence's frame rate")
-    vbv_ms: float = Field(1000, ge=20, le=10000, description="buffer that bounds a bit rate, as time at that rate")
-    preset: str | int | None = Field(None, description="the encoder's trade of time for size, by its own name")
-    gop: Gop = Field(30, ge=1, le=1000, description="frames from start to start; intra_only is 1")
-    intra_refresh: bool = Field(False, description="a column of intra blocks that moves over `gop` frames, no starts")
-    pixel_format: PixelFormat = Field("yuv420p", description="what is coded: gray, or chroma at half or full size")
-    threads: Literal[1] = Field(1, description="threads of the encoder; with one its bytes repeat")
-    latency: Literal["low", "any"] = Field("low", description="low: each packet at once; any: look-ahead, B-frames")
+    crf: float | None = Field(
+        None, description="constant quality, on the encoder's scale: higher values give smaller files"
+    )
+    qp: int | None = Field(
+        None, description="constant quantizer, on the encoder's scale: higher values give smaller files"
+    )
+    bitrate_kbps: float | None = Field(None, description="bit rate at the sequence's frame rate, in kbit/s")
+    vbv_ms: float = Field(1000, ge=20, le=10000, description="size of the rate control buffer, in ms at the bit rate")
+    preset: str | int | None = Field(None, description="trade-off of time for size, by the encoder's own name")
+    gop: Gop = Field(30, ge=1, le=1000, description="frames from one keyframe to the next; intra_only is 1")
+    intra_refresh: bool = Field(
+        False, description="instead of keyframes, move a column of intra blocks over `gop` frames"
+    )
+    pixel_format: PixelFormat = Field("yuv420p", description="coded samples: gray, chroma at half or full size, or rgb")
+    threads: Literal[1] = Field(1, description="encoder threads; with one its bytes are reproducible")
+    latency: Literal["low", "any"] = Field(
+        "low", description="low: one packet per frame at once; any: look-ahead and B-frames"
+    )
 
     @classmethod
     def encoder_of(cls, values: Any) -> Encoder | None:

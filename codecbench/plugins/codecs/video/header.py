@@ -45,10 +45,10 @@ class Header:
     def parse(cls, data: bytes, magic: bytes) -> tuple[Self, bytes]:
         """Split a packet into its header and the rest. Raises BitstreamError if it has no header of this codec."""
         if len(data) < _FIXED.size or not data.startswith(magic):
-            raise BitstreamError(f"not the start of a stream of this codec: {data[:4]!r} instead of {magic!r}")
+            raise BitstreamError(f"not a keyframe of this codec: {data[:4]!r} instead of {magic!r}")
         _, flags, width, height, length = _FIXED.unpack_from(data)
         if flags > _LOW_DELAY + _COLOR:
-            raise BitstreamError(f"the header of the stream is damaged: {flags:#x} says what no encoder writes")
+            raise BitstreamError(f"the header of the stream is damaged: {flags:#x} is not what an encoder writes")
         if not 0 < width * height <= MAX_PIXELS:
             raise BitstreamError(f"{width}x{height} is not within 1..{MAX_PIXELS} pixels")
         content = _FIXED.size + length

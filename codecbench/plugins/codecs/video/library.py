@@ -23,9 +23,7 @@ _BT601: Final = 5
 _MARGIN: Final = 128  # upper bound of what padding and the blocks of a format add
 _RATE_DENOMINATOR: Final = 1001
 _SOFTWARE: Final = "encoder: libx264, which needs no hardware"
-_REINSTALLING: Final = (
-    "run: pip install --upgrade --force-reinstall 'av>=16', whose wheels carry the encoders in software"
-)
+_REINSTALLING: Final = "run: pip install --upgrade --force-reinstall 'av>=16'; its wheels include the software encoders"
 _STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode", "ec": "0"}
 
 

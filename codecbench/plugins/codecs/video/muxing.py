@@ -43,7 +43,7 @@ def file_from_packets(codec: VideoCodec[Any], packets: Sequence[Packet], frame_r
             stream = _add_stream(container, codec, header, payloads[0], frame_rate_hz)
             _mux(container, stream, packets, payloads, frame_rate_hz)
         except (av.FFmpegError, ValueError) as error:
-            raise ParamsError(f"{name}: {suffix} does not take {codec.name}: {error}") from error
+            raise ParamsError(f"{name}: {suffix} does not support {codec.name}: {error}") from error
     return buffer.getvalue()
 
 

@@ -26,7 +26,7 @@ _RAW_FORMATS: Final = {"gray": "I420", "yuv420p": "I420", "yuv444p": "Y444", "rg
 _OTHER_BUILD: Final = "Another release of the encoder gives other bytes."
 _SVT: Final = "SVT-AV1 1.4 gave 0.75 to 1.2 times the bytes of 4.1."
 _UNBOUND: Final = "No option bounds the bit rate (maxrate, bufsize): hevc and VP9 sent 1.06 and 1.07 of the bytes."
-_HARDWARE: Final = "Not run without this hardware."
+_HARDWARE: Final = "Not tested on this hardware."
 
 
 def recipes(params: VideoParams, scene: Scene) -> Iterator[Recipe]:
@@ -34,7 +34,7 @@ def recipes(params: VideoParams, scene: Scene) -> Iterator[Recipe]:
     width, height = params.traits.coded_size(scene.width, scene.height)
     pads = ""
     if (width, height) != (scene.width, scene.height):
-        pads = f"Pad frames to {width}x{height} before, by their last row and column."
+        pads = f"Pad frames to {width}x{height} first, with copies of their last row and column."
     yield _transport(params, scene, pads)
     yield _gstreamer(params, scene, pads)
     yield _ffmpeg(params, scene, (width, height))
@@ -49,7 +49,7 @@ def _transport_obstacle(params: VideoParams) -> str:
     if encoder.intra_only:
         return "It has no key for this encoder's quantizer."
     if encoder.name == "libsvtav1" and params.bitrate_kbps is not None:
-        return "At low delay SVT-AV1 takes a bit rate with maxrate alone, for which it has no key."
+        return "At low delay SVT-AV1 needs maxrate with a bit rate, for which it has no key."
     return "It codes color, not gray." if params.pixel_format == "gray" else ""
 
 
@@ -74,10 +74,10 @@ def _transport(params: VideoParams, scene: Scene, pads: str) -> Recipe:
     lines = [f"        {key}: {value}" for key, value in keys.items()]
     text = "\n".join(["/**:", "  ros__parameters:", "    image_raw:", "      ffmpeg:", *lines])
     timing = (
-        f"{rate} gives the camera's frame rate: without it, as in 2.x, the encoder works for 100 frames/s and sent 0.6 "
+        f"{rate} sets the camera's frame rate: without it, as in 2.x, the encoder assumes 100 frames/s and sent 0.6 "
         "of the bytes by crf and 0.25 by bit rate. Checked with FFmpeg opened as that package does, not in ROS."
         if rate
-        else "The encoder works for 100 frames/s, which no option corrects, and in limited range: by crf AV1 and VP9 "
+        else "The encoder assumes 100 frames/s, which no option corrects, and limited range: by crf AV1 and VP9 "
         "sent 0.82 of the bytes."
     )
     starts = "x265 writes its settings, 2 kB, at each keyframe." if encoder.name == "libx265" else ""
@@ -102,7 +102,7 @@ def _ffmpeg(params: VideoParams, scene: Scene, size: tuple[int, int]) -> Recipe:
         options += ["-b:v" if name == "b" else f"-{name}", value]
     filtering = ["-vf", ",".join(filters)] if filters else []
     notes = [_HARDWARE if encoder.hardware else _OTHER_BUILD, _SVT if encoder.name == "libsvtav1" else ""]
-    notes.append("Frames are padded black there." if len(filters) > 1 else "")
+    notes.append("It pads frames with black." if len(filters) > 1 else "")
     return ffmpeg(scene, [*filtering, *options], f"out.{_ENDINGS.get(encoder.name, 'h264')}", sentences(*notes))
 
 
@@ -147,7 +147,7 @@ def _gstreamer(params: VideoParams, scene: Scene, pads: str) -> Recipe:
         return Recipe(GSTREAMER, "sh", "", note if name == "libvpx-vp9" else f"No element is known for {name}.")
     element, note = _ELEMENTS[name](params)
     caps = f"format={_RAW_FORMATS[params.pixel_format]}"
-    gray = "It is given neutral chroma, not gray alone." if params.pixel_format == "gray" else ""
+    gray = "It codes neutral chroma, not gray only." if params.pixel_format == "gray" else ""
     if params.pixel_format == "gray" and name == "ffv1":
         caps, gray = "format=GRAY8", "" if scene.channels == 1 else CONVERSION
     elif params.pixel_format != "rgb":
@@ -157,7 +157,7 @@ def _gstreamer(params: VideoParams, scene: Scene, pads: str) -> Recipe:
 
 def _rounding_note(params: VideoParams) -> str:
     whole = params.crf is None or params.crf == round(params.crf)
-    return "" if whole else f"crf is a whole number there: {round(params.crf or 0)}."
+    return "" if whole else f"Its crf is a whole number: {round(params.crf or 0)}."
 
 
 def _x264(params: VideoParams) -> tuple[str, str]:
@@ -194,7 +194,7 @@ def _svt_av1(params: VideoParams) -> tuple[str, str]:
     rate = f"target-bitrate={params.bitrate_kbps:.0f}" if params.bitrate_kbps else f"crf={params.crf or 0:.0f}"
     rate = rate if params.qp is None else f"cqp={params.qp}"
     words = ["svtav1enc", f"preset={params.preset}", rate, f"intra-period-length={params.gop - 1}"]
-    return " ".join([*words, f"parameters-string={settings['svtav1-params']}"]), f"Not run here. {_SVT}"
+    return " ".join([*words, f"parameters-string={settings['svtav1-params']}"]), f"Not tested. {_SVT}"
 
 
 def _mjpeg(params: VideoParams) -> tuple[str, str]:

@@ -44,7 +44,7 @@ class VideoEncoder(StreamEncoder):
         if self._context is None:
             self._open(image)
         elif image.shape != self._shape:
-            raise ImageError(f"a picture of shape {image.shape} in a stream of shape {self._shape}")
+            raise ImageError(f"a frame of shape {image.shape} in a stream of shape {self._shape}")
         params = self._params
         frame = video_frame(*self._size, params.traits.ffmpeg_format(params))
         fill_frame(frame, planes_from_image(pad_image(image, *self._size), params.pixel_format))
@@ -170,7 +170,7 @@ class VideoDecoder(StreamDecoder):
             return pictures
         if not self._lost_since_keyframe:
             self._give_up(frame)
-            raise BitstreamError(f"the packet of frame {frame} gives no picture")
+            raise BitstreamError(f"the packet of frame {frame} decodes to no frame")
         return pictures + self._missing_pictures(frame + 1)
 
     def _give_up(self, frame: int) -> None:

@@ -11,7 +11,7 @@ from codecbench.plugins.datasets.bag.messages import CAMERA_INFO
 from codecbench.plugins.datasets.bag.recording import Recording, Topic
 from codecbench.plugins.datasets.calibration import camera_from_model
 
-_REMEDY = "give `calibration: FILE`, or `camera: none` to go without"
+_REMEDY = "give `calibration: FILE`, or `camera: none` to use none"
 _FISHEYE = ("equidistant", "fisheye")
 _FEWEST_COEFFICIENTS = {"plumb_bob": 4, "rational_polynomial": 5, **dict.fromkeys(_FISHEYE, 4)}
 
@@ -39,7 +39,7 @@ def camera_from_topic(recording: Recording, topic: Topic, images: Topic) -> Came
     )
     width, height = int(info.width), int(info.height)
     if not all(math.isfinite(value) for value in (*matrix, *projection, *distortion)):
-        raise DatasetError(f"{where}: holds a number that is not finite; {_REMEDY}")
+        raise DatasetError(f"{where}: contains a number that is not finite; {_REMEDY}")
     rectified = any(part.startswith("image_rect") for part in images.name.split("/"))
     fx, fy, cx, cy = (
         (projection[0], projection[5], projection[2], projection[6])
@@ -49,7 +49,7 @@ def camera_from_topic(recording: Recording, topic: Topic, images: Topic) -> Came
     if fx == 0.0:
         return None
     if fx < 0.0 or fy <= 0.0 or width < 1 or height < 1:
-        raise DatasetError(f"{where}: {width}x{height} with focal lengths {fx}, {fy} is no camera; {_REMEDY}")
+        raise DatasetError(f"{where}: {width}x{height} with focal lengths {fx}, {fy} is not a camera; {_REMEDY}")
     sizes = (width, height, fx, fy, cx, cy)
     model = str(info.distortion_model)
     if rectified or not (any(distortion) or model in _FISHEYE):
@@ -62,10 +62,10 @@ def _distorted_camera(sizes: Any, model: str, distortion: list[float], where: st
     models = ", ".join(_FEWEST_COEFFICIENTS)
     if model not in _FEWEST_COEFFICIENTS or len(distortion) < _FEWEST_COEFFICIENTS[model]:
         raise DatasetError(
-            f"{where}: distortion model {model[:40]!r} with {len(distortion)} numbers; known are {models}; {_REMEDY}"
+            f"{where}: distortion model {model[:40]!r} with {len(distortion)} numbers; supported: {models}; {_REMEDY}"
         )
     if model in _FISHEYE:
         return camera_from_model("equidistant", sizes[:2], sizes[2:], distortion[:4])
     if any(distortion[8:]):
-        raise DatasetError(f"{where}: distortion model {model!r} with more than 8 numbers is not known; {_REMEDY}")
+        raise DatasetError(f"{where}: distortion model {model!r} with more than 8 numbers is not supported; {_REMEDY}")
     return camera_from_model("pinhole", sizes[:2], sizes[2:], distortion[:8])

@@ -46,26 +46,29 @@ _SAMPLED_FRAMES: Final = 9
 
 
 class BagParams(Selection, GivenCameraParams):
-    """Parameters of `bag`."""
+    """Set which topics of a bag give the frames, the camera and the ground truth."""
 
     path: Annotated[PathParam, Field(description="a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag")]
-    topic: Annotated[str | None, Field(description="topic of pictures; default: the only one")] = None
+    topic: Annotated[str | None, Field(description="image topic; default: the only one")] = None
     time: Annotated[
-        Literal["header", "bag"], Field(description="a frame's time: its header's, or when it was recorded")
+        Literal["header", "bag"], Field(description="frame times: of the message headers, or of the recording")
     ] = "header"
-    bits: Annotated[int, Field(ge=8, le=16, description="how many of 16 bits the samples fill; the upper 8 stay")] = 16
+    bits: Annotated[
+        int, Field(ge=8, le=16, description="bits in use of 16-bit samples; the upper 8 of them are kept")
+    ] = 16
     camera: Annotated[
         str,
-        Field(description="topic of sensor_msgs/CameraInfo; auto: the one beside the pictures or the only one; none"),
+        Field(
+            description="sensor_msgs/CameraInfo topic; auto: next to the image topic, or the only one; none: no camera"
+        ),
     ] = "auto"
     ground_truth: Annotated[
-        str, Field(description="topic of poses or transforms; auto: the only topic of poses; none")
+        str, Field(description="topic of poses or transforms; auto: the only pose topic; none: do not use any")
     ] = "auto"
-    parent_frame: Annotated[str | None, Field(description="of /tf: the frame that stands still; default: the top")] = (
-        None
-    )
+    parent_frame: Annotated[str | None, Field(description="fixed frame in /tf; default: the root")] = None
     child_frame: Annotated[
-        str | None, Field(description="the frame whose poses these are; default: what they say, of /tf the pictures'")
+        str | None,
+        Field(description="frame that the poses are of; default: from the messages, in /tf the frame of the images"),
     ] = None
 
     @model_validator(mode="after")
@@ -191,13 +194,11 @@ class BagSequence(FrameSequence):
         if topic is None:
             if params.fov_deg is not None:
                 return KnownCamera()
-            remedy = "`calibration: FILE` or `fov_deg` gives one"
-            return KnownCamera(notes=(f"no camera: there is no camera_info beside the pictures; {remedy}",))
+            remedy = "set `calibration: FILE` or `fov_deg`"
+            return KnownCamera(notes=(f"no camera: the image topic has no camera_info; {remedy}",))
         camera = camera_from_topic(self._recording, topic, self._topic)
         if camera is None:
-            return KnownCamera(
-                notes=(f"no camera: {topic.name} is of a camera that was not calibrated (its focal length is 0)",)
-            )
+            return KnownCamera(notes=(f"no camera: {topic.name} is not calibrated (its focal length is 0)",))
         summary = f"camera: {topic.name}, {camera.width}x{camera.height}, fx {camera.fx:.6g}, {describe_lens(camera)}"
         return KnownCamera(camera, "camera_info", (summary,))
 
@@ -227,10 +228,10 @@ def image_topic(recording: Recording, name: str | None) -> Topic:
     if not images:
         topics = list(recording.topics.values())[:_MOST_LISTED]
         listed = ", ".join(f"{topic.name} ({topic.type}, {len(topic)})" for topic in topics)
-        raise DatasetError(f"{recording.path}: holds no pictures; topics: {listed or 'none'}")
+        raise DatasetError(f"{recording.path}: has no image topic; topics: {listed or 'none'}")
     images = readable or images
     listed = "".join(f"\n  {describe_topic(recording, topic)}" for topic in list(images.values())[:_MOST_LISTED])
-    what = f"{len(images)} topics of pictures" if name is None else f"topic {name!r} holds no pictures"
+    what = f"{len(images)} image topics" if name is None else f"topic {name!r} has no images"
     raise DatasetError(f"{recording.path}: {what}; choose one with `topic`:{listed}")
 
 
@@ -262,7 +263,7 @@ def _find_camera_topic(recording: Recording, name: str) -> Topic:
     topic = recording.topics.get(name)
     if topic is None or topic.type != CAMERA_INFO or not len(topic):
         names = [topic.name for topic in recording.topics.values() if topic.type == CAMERA_INFO]
-        raise DatasetError(f"{recording.path}: camera {name!r} is no topic of {CAMERA_INFO}; these are: {names}")
+        raise DatasetError(f"{recording.path}: camera {name!r} is not a topic of {CAMERA_INFO}; set one of {names}")
     return topic
 
 
@@ -278,7 +279,7 @@ def _sort_messages(recording: Recording, topic: Topic, time: str) -> tuple[Integ
             times_ns = headers_ns
     unique_ns, numbers = np.unique(times_ns, return_index=True)
     if (repeated := len(times_ns) - len(unique_ns)) > 0:
-        notes.append(f"{repeated} frames are left out because they repeat the time of another")
+        notes.append(f"{repeated} frames are left out because another has the same time")
     if (np.diff(times_ns) < 0).any():
-        notes.append("frames are in the order of their times, which is not that of the recording")
+        notes.append("frames are sorted by time, which changes the order of the recording")
     return unique_ns, numbers.astype(np.int64), notes

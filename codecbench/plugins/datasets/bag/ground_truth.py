@@ -77,7 +77,7 @@ class FrameTree:
         }
         if not moving:
             raise DatasetError(
-                f"{self._where}: nothing moves between {top!r} and {child!r}; {self._describe_transforms()}"
+                f"{self._where}: no moving transform between {top!r} and {child!r}; {self._describe_transforms()}"
             )
         start_s = max(path.timestamps_s[0] for path in moving.values())
         end_s = min(path.timestamps_s[-1] for path in moving.values())
@@ -96,7 +96,7 @@ class FrameTree:
         child, parent = frame_name(transform.child_frame_id), frame_name(transform.header.frame_id)
         edge = self.edges.setdefault(child, Edge(parent, is_static))
         if edge.parent != parent:
-            raise DatasetError(f"{self._where}: the frame {child!r} hangs on {edge.parent!r} and on {parent!r}")
+            raise DatasetError(f"{self._where}: the frame {child!r} has two parents, {edge.parent!r} and {parent!r}")
         edge.times_ns.append(stamp_ns(transform.header))
         edge.numbers.extend(pose_numbers(transform.transform.translation, transform.transform.rotation))
 
@@ -161,7 +161,7 @@ def frame_name(text: str) -> str:
 
 
 POSE_TYPES: Final = (POSE, POSE_COVARIANCE, TRANSFORM, ODOMETRY)
-_REMEDY: Final = "`ground_truth: none` goes without"
+_REMEDY: Final = "set `ground_truth: none` to use none"
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def _only_topic(recording: Recording) -> tuple[Topic | None, list[str]]:
     names = ", ".join(topic.name for topic in poses or _transform_topics(recording))
     if not names:
         return None, []
-    return None, [f"no ground truth was taken; `ground_truth: TOPIC` takes that of a topic of poses: {names}"]
+    return None, [f"no ground truth is used; set `ground_truth: TOPIC` to one of {names}"]
 
 
 def _transform_topics(recording: Recording) -> list[Topic]:
@@ -215,9 +215,9 @@ def _find_topic(recording: Recording, name: str) -> Topic:
     topic = recording.topics.get(name)
     if topic is None or not len(topic) or topic.type not in (*POSE_TYPES, *TRANSFORMS):
         names = [topic.name for topic in recording.topics.values() if topic.type in (*POSE_TYPES, *TRANSFORMS)]
-        what = "is not there" if topic is None else f"holds {len(topic)} messages of {topic.type}"
+        what = "does not exist" if topic is None else f"has {len(topic)} messages of {topic.type}"
         raise DatasetError(
-            f"{recording.path}: ground_truth {name!r} {what}; topics of poses: {', '.join(names) or 'none'}; {_REMEDY}"
+            f"{recording.path}: ground_truth {name!r} {what}; pose topics: {', '.join(names) or 'none'}; {_REMEDY}"
         )
     return topic
 
@@ -261,9 +261,9 @@ def _move_to_camera(tree: FrameTree, path: Trajectory, child: str, camera_frame:
         return path, []
     mounting = tree.static_between(child, camera_frame) if child and camera_frame else None
     if mounting is None:
-        whose = f"those of {child!r}" if child else "of a frame that is not named"
+        whose = f"those of {child!r}" if child else "those of an unnamed frame"
         return path, [
-            f"the poses are {whose}, and no static transform leads to {camera_frame!r}: taken as the camera's"
+            f"the poses are {whose}, and no static transform leads to {camera_frame!r}: they are used as the camera's"
         ]
     camera_path = Trajectory(path.timestamps_s, path.world_from_camera @ mounting)
     return camera_path, [f"moved from {child!r} to {camera_frame!r} by static transforms"]

@@ -69,7 +69,7 @@ def decode_image(message: Any, bits: int, where: str) -> Image:
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
         known = ", ".join(sorted(_LAYOUTS))
-        raise DatasetError(f"{where}: encoding {message.encoding[:40]!r} is not read; these are: {known}")
+        raise DatasetError(f"{where}: encoding {message.encoding[:40]!r} is not supported; supported: {known}")
     width, height, step = int(message.width), int(message.height), int(message.step)
     row_bytes = width * layout.channels * layout.bits // 8
     if not 0 < width * height <= MAX_PIXELS or step < row_bytes or len(message.data) < step * (height - 1) + row_bytes:
@@ -93,7 +93,7 @@ def _rgb(samples: Any, layout: _Layout, where: str) -> Image:
     try:
         return np.asarray(cv2.cvtColor(samples, layout.conversion), dtype=np.uint8)
     except cv2.error as error:
-        raise DatasetError(f"{where}: a picture of {samples.shape} cannot be converted: {error.err}") from error
+        raise DatasetError(f"{where}: an image of {samples.shape} cannot be converted: {error.err}") from error
 
 
 def eight_bits(samples: NDArray[Any], bits: int) -> Image:
@@ -128,7 +128,7 @@ def decode_compressed(message: Any, bits: int, where: str) -> Image:
     Raises DatasetError, naming `where`.
     """
     if "compressedDepth" in message.format:
-        raise DatasetError(f"{where}: format {message.format[:60]!r} holds depths, not a picture; choose another topic")
+        raise DatasetError(f"{where}: format {message.format[:60]!r} is depth, not an image; choose another topic")
     content = np.ascontiguousarray(message.data)
     _check_header(content, where)
     try:
@@ -153,11 +153,11 @@ def _check_header(content: NDArray[np.uint8], where: str) -> None:
         ):
             (width, height), kind = opened.size, opened.format
     except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError) as error:
-        raise DatasetError(f"{where}: holds no picture that can be decoded: {error}") from error
+        raise DatasetError(f"{where}: contains no image that can be decoded: {error}") from error
     if not 0 < width * height <= MAX_PIXELS:
-        raise DatasetError(f"{where}: says that it is {width}x{height}; at most {MAX_PIXELS} pixels are read")
+        raise DatasetError(f"{where}: declares {width}x{height}; at most {MAX_PIXELS} pixels are allowed")
     if kind == "JPEG" and b"\xff\xd9" not in content[-4096:].tobytes():
-        raise DatasetError(f"{where}: the JPEG picture is cut short")
+        raise DatasetError(f"{where}: the JPEG image is cut short")
 
 
 def image_notes(message: Any, bits: int, largest: int | None) -> list[str]:
@@ -168,10 +168,10 @@ def image_notes(message: Any, bits: int, largest: int | None) -> list[str]:
     notes = []
     if largest is not None:
         fit = bits_of(largest)
-        better = "" if fit == bits else f", for which `bits: {fit}` would do"
+        better = "" if fit == bits else f"; set `bits: {fit}`"
         notes.append(
-            f"samples of 16 bits become 8 by their bits {bits - 8} to {bits - 1} (`bits: {bits}`); the largest of "
-            f"frames that were looked at is {largest}{better}"
+            f"16-bit samples become 8-bit by their bits {bits - 8} to {bits - 1} (`bits: {bits}`); the largest in a "
+            f"sample of the frames is {largest}{better}"
         )
     if message.encoding.startswith("bayer"):
         notes.append(f"{message.encoding} becomes RGB by bilinear interpolation (OpenCV)")
@@ -184,11 +184,11 @@ def compressed_notes(message: Any) -> list[str]:
     """Notes on the loss in the frames of a sensor_msgs/CompressedImage."""
     content = np.ascontiguousarray(message.data).tobytes()
     if content.startswith(b"\x89PNG"):
-        return ["the frames were recorded as PNG, which loses nothing"]
+        return ["the frames were recorded as PNG, which is lossless"]
     quality = quality_from_jpeg(content)
     measured = "" if quality is None else f", {quality}"
     kind = message.format.strip()[:60] or "compressed"
     return [
-        f"THE FRAMES ARE ALREADY CODED: the topic holds {kind} pictures{measured}; "
-        "`raw` is what that left, and every codec is compared with it, not with what the camera saw"
+        f"THE FRAMES ARE ALREADY CODED: the topic has {kind} images{measured}; "
+        "`raw` includes their losses, and every codec is compared with it, not with the camera's output"
     ]

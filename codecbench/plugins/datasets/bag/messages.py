@@ -45,6 +45,6 @@ def deserialize(content: bytes, type_: str, encoding: str, where: str) -> Any:
             return types.deserialize_ros1(content, type_)
         return types.deserialize_cdr(content, type_)
     except KeyError as error:
-        raise DatasetError(f"{where}: the type {type_} is not known") from error
+        raise DatasetError(f"{where}: the type {type_} is not supported") from error
     except (SerdeError, ValueError, IndexError, struct.error, AssertionError) as error:
-        raise DatasetError(f"{where}: is no {type_}: {error}") from error
+        raise DatasetError(f"{where}: is not a {type_}: {error}") from error

@@ -155,7 +155,7 @@ class Recording:
         self.topics = {topic.name: topic for topic in self._merge_topics(open_files)}
         logs = [file.with_name(f"{file.name}-wal") for file in files]
         self.remarks = [
-            f"what is only in {log.name} is not read: "
+            f"messages that are only in {log.name} are not read: "
             f"`sqlite3 {log.name.removesuffix('-wal')} 'PRAGMA wal_checkpoint'` puts it into the bag"
             for log in logs
             if log.exists() and log.stat().st_size
@@ -172,7 +172,7 @@ class Recording:
         self._next = ("", -1)
         _, content = next(self._cursor, (0, None))
         if content is None:
-            raise DatasetError(f"{self.where(topic, number)}: is not there any more")
+            raise DatasetError(f"{self.where(topic, number)}: no longer exists")
         self._next = (topic.name, number + 1)
         return content
 
@@ -242,7 +242,9 @@ class Recording:
         for name, topics in sorted(parts.items()):
             kinds = sorted({(topic.type, topic.encoding) for topic in topics})
             if len(kinds) > 1:
-                raise DatasetError(f"{self.path}: topic {name} has messages of {kinds}; a topic of one type is read")
+                raise DatasetError(
+                    f"{self.path}: topic {name} has messages of {kinds}; only topics of one type are supported"
+                )
             yield Topic(name, *kinds[0], sum(topic.count for topic in topics))
 
 
@@ -316,19 +318,21 @@ def _files(path: Path) -> list[Path]:
     """The files of a recording in natural order. Raises DatasetError if it is no bag."""
     if not path.is_dir():
         if not path.exists():
-            raise DatasetError(f"{path}: is not there; `path` names a .bag, .mcap or .db3 file or a ROS 2 bag's folder")
+            raise DatasetError(
+                f"{path}: does not exist; set `path` to a .bag, .mcap or .db3 file or a ROS 2 bag's folder"
+            )
         if path.suffix not in _KINDS:
             raise DatasetError(
-                f"{path}: ends in {path.suffix!r}; .bag, .mcap, .db3 and folders of the last two are read"
+                f"{path}: ends in {path.suffix!r}; .bag, .mcap, .db3 and folders of the last two are supported"
             )
         return [path]
     files = sorted((file for file in path.iterdir() if file.suffix in _KINDS and file.is_file()), key=natural_key)
     if _are_several_recordings(files):
         names = ", ".join(file.name for file in files[:_MOST_NAMES]) + (", ..." if len(files) > _MOST_NAMES else "")
-        raise DatasetError(f"{path}: holds several recordings; `path` names one of them: {names}")
+        raise DatasetError(f"{path}: contains several recordings; set `path` to one of them: {names}")
     if files and files[0].suffix in _IN_FOLDERS:
         return files
     packed = next((file.name for file in sorted(path.iterdir()) if file.suffix == ".zstd"), None)
     if packed is not None:
         raise DatasetError(f"{path / packed}: is compressed as a whole; expand the folder's files with `zstd -d` first")
-    raise DatasetError(f"{path}: holds no .mcap or .db3 file; `path` names a .bag file or a ROS 2 bag's folder")
+    raise DatasetError(f"{path}: contains no .mcap or .db3 file; set `path` to a .bag file or a ROS 2 bag's folder")

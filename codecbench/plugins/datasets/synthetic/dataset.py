@@ -31,25 +31,36 @@ _CORNER_LOSS = 0.22
 
 
 class SyntheticParams(Selection):
-    """Parameters of `synthetic`; a world brings its own length, size, rate and conditions.
+    """Set a synthetic scene: a `world` with its own length, size, rate and conditions, or the room.
 
-    Without a world a round takes 340 / speed frames; the default adds 60 that see the start again.
+    Without a world one loop takes 340 / speed frames; the default adds 60 frames that revisit its beginning.
     """
 
-    world: Annotated[WorldName | None, Field(description="a named world; default: the room as it always was")] = None
+    world: Annotated[WorldName | None, Field(description="a named synthetic scene; default: the room")] = None
     severity: Annotated[
-        float | None, Field(ge=0.0, le=1.0, description="of the world's conditions, 0 calm to 1 hard; 0.5 with a world")
+        float | None,
+        Field(
+            ge=0.0,
+            le=1.0,
+            description="severity of the world's conditions, 0 (calm) to 1 (hard); default with a world: 0.5",
+        ),
     ] = None
-    frames: Annotated[int, Field(ge=1, le=100_000, description="length; a world's default is a loop and a seventh")] = (
-        400
+    frames: Annotated[
+        int, Field(ge=1, le=100_000, description="number of frames; default with a world: a loop and a seventh")
+    ] = 400
+    rate_hz: Annotated[float, Field(gt=0.0, le=1000.0, description="frames per second; always 30 without a world")] = (
+        30.0
     )
-    rate_hz: Annotated[float, Field(gt=0.0, le=1000.0, description="frames a second; 30 without a world")] = 30.0
-    width: Annotated[int, Field(ge=16, le=4096, description="pixels")] = 640
-    height: Annotated[int, Field(ge=16, le=4096, description="pixels")] = 480
-    seed: Annotated[int, Field(ge=0, description="of the hand's tremor and the sensor's noise")] = 0
-    speed: Annotated[float, Field(gt=0.0, le=4.0, description="1 walks round in 11.3 s at 0.7 m/s")] = 1.0
+    width: Annotated[int, Field(ge=16, le=4096, description="width in pixels")] = 640
+    height: Annotated[int, Field(ge=16, le=4096, description="height in pixels")] = 480
+    seed: Annotated[int, Field(ge=0, description="seed of the hand's tremor and the sensor's noise")] = 0
+    speed: Annotated[
+        float, Field(gt=0.0, le=4.0, description="factor on the walking speed; at 1 a loop takes 11.3 s at 0.7 m/s")
+    ] = 1.0
     noise: Annotated[float, Field(ge=0.0, le=20.0, description="factor on the sensor's noise")] = 1.0
-    motion_blur: Annotated[float, Field(ge=0.0, le=1.0, description="exposure as a share of the frame interval")] = 0.25
+    motion_blur: Annotated[
+        float, Field(ge=0.0, le=1.0, description="exposure time as a share of the frame interval")
+    ] = 0.25
 
     @model_validator(mode="before")
     @classmethod
@@ -72,8 +83,8 @@ class SyntheticParams(Selection):
         for name in names:
             if getattr(self, name) != type(self).model_fields[name].default:
                 if self.world is None:
-                    raise ValueError(f"{name} belongs to a world; name one: world: {', '.join(WORLD_NAMES)}")
-                raise ValueError(f"{name} is part of world {self.world}; set its severity, or leave out the world")
+                    raise ValueError(f"{name} needs a world; set world to one of {', '.join(WORLD_NAMES)}")
+                raise ValueError(f"{name} is fixed by world {self.world}; set severity, or leave out world")
         return self
 
     def pixel_inputs(self) -> dict[str, Any]:

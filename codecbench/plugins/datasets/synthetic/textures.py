@@ -47,10 +47,10 @@ def photograph_file(name: str) -> Path:
     """The file of a photograph, without scikit-image's downloader. Raises DatasetError if it is missing."""
     package = find_spec("skimage")
     if package is None or package.origin is None:
-        raise DatasetError("synthetic: scikit-image is not installed, and its photographs cover the room")
+        raise DatasetError("synthetic: scikit-image is not installed; the room needs its photographs")
     file = Path(package.origin).parent / "data" / PHOTOGRAPH_FILES[name]
     if not file.is_file():
-        raise DatasetError(f"synthetic: {file} is missing; reinstall scikit-image, which brings this photograph")
+        raise DatasetError(f"synthetic: {file} is missing; reinstall scikit-image, which includes this photograph")
     return file
 
 

@@ -161,7 +161,7 @@ def test_damage_is_refused_by_threads_too() -> None:
 
 
 def test_threads_need_slices() -> None:
-    with pytest.raises(ValidationError, match="give restart too"):
+    with pytest.raises(ValidationError, match="set restart too"):
         codec(threads=2)
 
 

@@ -79,11 +79,11 @@ def test_bad_checksum(stream: bytes) -> None:
 @pytest.mark.parametrize(
     ("offset", "layout", "value", "reason"),
     [
-        (4, "B", 4, "^version 4 is not supported, only [123], [123] and [123]$"),
+        (4, "B", 4, "^version 4 .* [123], [123] and [123]$"),
         (5, "B", 1, "profile 1"),
         (6, "B", 8, "flags 8"),
         (7, "B", 4, "colour 4"),
-        (7, "B", 1, "channel .*colour rgb"),
+        (7, "B", 1, "channel .*color rgb"),
         (8, "B", 3, "table 3"),
         (9, "B", 0, "levels 0"),
         (9, "B", 17, "levels 17"),
@@ -108,7 +108,7 @@ def test_bad_checksum(stream: bytes) -> None:
         (36, "I", 0, "level 1: 0 table"),
         (36, "I", 10**6, "1000000 table .*1707 groups"),
         (40, "I", 2**32 - 1, "truncated: table .*level 1 "),
-        (40, "I", 3, "truncated|trailing|out of range|counts|payload"),
+        (40, "I", 3, "truncated|trailing|range|counts|payload"),
     ],
 )
 def test_header_faults(stream: bytes, offset: int, layout: str, value: float, reason: str) -> None:

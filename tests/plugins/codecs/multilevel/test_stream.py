@@ -79,11 +79,11 @@ def test_each_packet_of_sixty_frames_may_be_lost() -> None:
 
 
 def test_a_packet_does_not_decode_on_another_memory() -> None:
-    """Even where nobody told of the loss."""
+    """Even if the decoder was not informed of the loss."""
     packets = packets_of(MultilevelStream.create(), gliding_pictures(4, 40, 56, 1))
     decoder = MultilevelStream.create().decoder()
     decoder.push(packets[0])
-    with pytest.raises(BitstreamError, match="follows another packet"):
+    with pytest.raises(BitstreamError, match="does not follow"):
         decoder.push(packets[2])
 
 

@@ -215,7 +215,7 @@ def test_features_that_cannot_be_coded_are_refused(film: list[Features]) -> None
     encoder = OrbFeatures.create().encoder()
     for changes, message in (
         ({"octaves": found.octaves + np.int32(5)}, "8 levels"),
-        ({"pixels": found.pixels - found.pixels.min() - 0.4}, "between the middles"),
+        ({"pixels": found.pixels - found.pixels.min() - 0.4}, "between the centers"),
         ({"size": (65_000, 65_000)}, "pixels can be"),
         ({"size": (70_000, 240)}, "65535 a side"),
     ):

@@ -104,11 +104,13 @@ def test_several_topics_of_pictures_are_listed_and_one_is_chosen_by_name(tmp_pat
         bag.write("/right/image", bag.image(picture(9, (12, 16)), "mono8", time_ns(0)), time_ns(0))
         bag.write("/left/camera_info", bag.camera_info(), time_ns(0))
         bag.write("/right/camera_info", bag.camera_info(size=(16, 12), fx=9.0), time_ns(0))
-    assert message(path=path) == (
-        f"{path}: 2 topics of pictures; choose one with `topic`:\n"
-        "  /left/image: 3 of sensor_msgs/msg/Image, 32x24 rgb8\n"
-        "  /right/image: 1 of sensor_msgs/msg/Image, 16x12 mono8"
-    )
+    first, *topics = message(path=path).splitlines()
+    assert first.startswith(f"{path}: 2 ")
+    assert quoted(first) == ["topic"]
+    assert topics == [
+        "  /left/image: 3 of sensor_msgs/msg/Image, 32x24 rgb8",
+        "  /right/image: 1 of sensor_msgs/msg/Image, 16x12 mono8",
+    ]
     said = message(path=path, topic="/middle")
     assert said.splitlines()[0].startswith(f"{path}: topic '/middle' ")
     assert re.findall(r"^  (/\S+): ", said, re.MULTILINE) == ["/left/image", "/right/image"]
@@ -143,7 +145,7 @@ def test_a_bag_without_pictures_lists_what_it_has(tmp_path):
     with BagWriter(tmp_path / "a.bag", "bag") as bag:
         bag.write("/cam/camera_info", bag.camera_info(), 5)
     said = message(path=tmp_path / "a.bag")
-    assert "holds no pictures" in said
+    assert "no image topic" in said
     assert said.endswith(" /cam/camera_info (sensor_msgs/msg/CameraInfo, 1)")
 
 
@@ -171,8 +173,9 @@ def test_frames_come_in_the_order_of_their_headers_each_time_once(tmp_path):
     sequence = Bag.create(path=tmp_path / "a.bag").open()
     for index, seed in enumerate((0, 21, 12, 43)):
         np.testing.assert_array_equal(sequence.read(index).image, picture(seed))
-    assert "1 frames are left out because they repeat the time of another" in sequence.notes
-    assert "frames are in the order of their times, which is not that of the recording" in sequence.notes
+    notes = "\n".join(sequence.notes)
+    assert re.search("^1 frames .*same time$", notes, re.MULTILINE)
+    assert "sorted by time" in notes
 
 
 def camera_of(tmp_path, kind="bag", topic="/cam/image_raw", **values):
@@ -209,35 +212,27 @@ def test_a_rational_camera_whose_denominator_is_1_is_a_plain_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("values", "pattern"),
     [
-        (
-            {"model": "rational_polynomial", "distortion": (0.1,) * 12},
-            "distortion model 'rational_polynomial' with more than 8 numbers is not known",
-        ),
-        (
-            {"model": "thin_prism", "distortion": (0.1,) * 12},
-            "distortion model 'thin_prism' with 12 numbers; known are plumb_bob, ",
-        ),
+        ({"model": "rational_polynomial", "distortion": (0.1,) * 12}, "'rational_polynomial' .* 8 numbers"),
+        ({"model": "thin_prism", "distortion": (0.1,) * 12}, "'thin_prism' with 12 .* plumb_bob, "),
         ({"model": "plumb_bob", "distortion": (0.1,)}, "'plumb_bob' with 1 "),
-        ({"fx": -4.0}, "/cam/camera_info[0]: 32x24 with focal lengths -4.0, 31.0 is no camera"),
-        ({"fx": float("nan")}, "/cam/camera_info[0]: holds a number that is not finite"),
-        ({"size": (64, 48)}, "is 32x24, but the calibration is for 64x48"),
+        ({"fx": -4.0}, r"/cam/camera_info\[0\]: 32x24 .* -4\.0, 31\.0 "),
+        ({"fx": float("nan")}, r"/cam/camera_info\[0\]: .*not finite"),
+        ({"size": (64, 48)}, " 32x24, .* 64x48; "),
     ],
 )
-def test_cameras_that_cannot_be_used_say_how_to_go_on(tmp_path, values, words):
+def test_cameras_that_cannot_be_used_say_how_to_go_on(tmp_path, values, pattern):
     dataset = camera_of(tmp_path, **values)
-    with pytest.raises(DatasetError) as caught:
+    with pytest.raises(DatasetError, match=f"{pattern}.*`camera: none`"):
         dataset.open()
-    assert words in str(caught.value)
-    assert "`camera: none`" in str(caught.value)
     assert Bag.create(path=dataset.params.path, camera="none").open().camera is None
 
 
 def test_a_camera_that_was_never_calibrated_is_none(tmp_path):
     sequence = camera_of(tmp_path, fx=0.0).open()
     assert sequence.camera is None
-    assert any("was not calibrated" in note for note in sequence.notes)
+    assert any("is not calibrated" in note for note in sequence.notes)
 
 
 def test_rectified_pictures_have_the_camera_of_the_projection(tmp_path):
@@ -283,9 +278,8 @@ def test_a_folder_of_several_recordings_is_refused_with_their_names(tmp_path):
 
 
 def test_paths_that_are_no_bag(tmp_path):
-    said = f"{tmp_path}/none.bag: is not there; `path` names a .bag, .mcap or .db3 file or a ROS 2 bag's folder"
-    assert message(path=tmp_path / "none.bag") == said
-    assert "holds no .mcap" in message(path=tmp_path)
+    assert re.search(r"none\.bag: .*`path` .*\.bag, \.mcap or \.db3", message(path=tmp_path / "none.bag"))
+    assert "contains no .mcap" in message(path=tmp_path)
     (tmp_path / "a.txt").write_text("x")
     assert "ends in '.txt'" in message(path=tmp_path / "a.txt")
     (tmp_path / "a_0.db3.zstd").write_text("x")

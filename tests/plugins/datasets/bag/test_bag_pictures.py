@@ -168,16 +168,13 @@ def encoded(image, extension, *options):
 
 
 @pytest.mark.parametrize("quality", [5, 30, 75, 95])
-def test_jpeg_pictures_are_decoded_and_their_quality_is_said(tmp_path, quality):
+def test_jpeg_images_are_decoded_and_a_note_gives_their_quality(tmp_path, quality):
     content = encoded(RGB, ".jpg", cv2.IMWRITE_JPEG_QUALITY, quality)
     sequence = opened(tmp_path, lambda bag: bag.compressed_image(content, "rgb8; jpeg compressed bgr8", time_ns(0)))
     expected = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
     np.testing.assert_array_equal(sequence.read(0).image, expected)
-    assert sequence.notes[1] == (
-        "THE FRAMES ARE ALREADY CODED: the topic holds rgb8; jpeg compressed bgr8 pictures, "
-        f"JPEG of quality {quality} (libjpeg's table); `raw` is what that left, "
-        "and every codec is compared with it, not with what the camera saw"
-    )
+    for fact in ("ALREADY CODED", " rgb8; jpeg compressed bgr8 ", f", JPEG of quality {quality} (", "`raw`"):
+        assert fact in sequence.notes[1]
 
 
 def test_gray_jpeg_pictures_stay_gray(tmp_path):
@@ -191,7 +188,7 @@ def test_png_pictures_lose_nothing(tmp_path):
         content = encoded(image, ".png")
         sequence = opened(tmp_path, lambda bag, c=content: bag.compressed_image(c, "png", time_ns(0)))
         np.testing.assert_array_equal(sequence.read(0).image, image)
-        assert any("PNG, which loses" in note for note in sequence.notes)
+        assert any("is lossless" in note for note in sequence.notes)
 
 
 def test_png_pictures_of_16_bits_and_of_a_mosaic(tmp_path):
@@ -214,16 +211,12 @@ def png_of_size(width, height):
 @pytest.mark.parametrize(
     ("content", "format_", "words"),
     [
-        (b"", "jpeg", "holds no picture that can be decoded"),
-        (b"\xff\xd8\xff nothing", "jpeg", "holds no picture"),
-        (encoded(RGB, ".jpg")[:-300], "jpeg", "the JPEG picture is cut short"),
-        (png_of_size(20_000, 8_000), "png", "says that it is 20000x8000; at most 67108864 pixels are read"),
-        (png_of_size(200_000, 80_000), "png", "holds no picture"),
-        (
-            encoded(DEEP, ".png"),
-            "16UC1; compressedDepth png",
-            "format '16UC1; compressedDepth png' holds depths, not a picture; choose another topic",
-        ),
+        (b"", "jpeg", "contains no image"),
+        (b"\xff\xd8\xff nothing", "jpeg", "contains no image"),
+        (encoded(RGB, ".jpg")[:-300], "jpeg", "is cut short"),
+        (png_of_size(20_000, 8_000), "png", "20000x8000; at most 67108864 "),
+        (png_of_size(200_000, 80_000), "png", "contains no image"),
+        (encoded(DEEP, ".png"), "16UC1; compressedDepth png", "'16UC1; compressedDepth png' is depth"),
     ],
 )
 def test_compressed_pictures_that_cannot_be_read(tmp_path, content, format_, words):

@@ -90,13 +90,11 @@ def test_static_transforms_lead_from_the_body_to_the_camera(tmp_path, type_, chi
     assert any("'base' to 'camera'" in note for note in sequence.notes)
 
 
-def test_of_several_topics_none_is_taken_until_one_is_named(tmp_path):
+def test_several_pose_topics_give_no_ground_truth_until_one_is_chosen(tmp_path):
     path = write(tmp_path / "a.bag", poses=[("/mocap", "PoseStamped"), ("/odom", "Odometry")])
     sequence = Bag.create(path=path).open()
     assert sequence.ground_truth is None
-    assert "no ground truth was taken; `ground_truth: TOPIC` takes that of a topic of poses: /mocap, /odom" in (
-        sequence.notes
-    )
+    assert any(re.search(r"`ground_truth: TOPIC` .*/mocap, /odom$", note) for note in sequence.notes)
     check(Bag.create(path=path, ground_truth="/mocap").open().ground_truth, POSES)
     with pytest.raises(DatasetError, match=r"'/x' .*: /mocap, /odom"):
         Bag.create(path=path, ground_truth="/x").open()
@@ -135,18 +133,13 @@ def test_transforms_at_other_times_are_interpolated(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"child_frame": "wheel"}, "nothing moves between 'wheel' and 'wheel'; give `parent_frame` and `child_frame`"),
-        ({"parent_frame": "moon"}, "no transforms lead from 'moon' to 'camera'; give `parent_frame` and `child_frame`"),
-    ],
+    ("values", "frames"),
+    [({"child_frame": "wheel"}, "'wheel' and 'wheel'"), ({"parent_frame": "moon"}, "'moon' to 'camera'")],
 )
-def test_frames_that_are_not_connected(tmp_path, values, words):
+def test_frames_that_are_not_connected(tmp_path, values, frames):
     path = write(tmp_path / "a.bag", moving=[(0, "world", "camera", NUMBERS[0])])
-    with pytest.raises(DatasetError) as caught:
+    with pytest.raises(DatasetError, match=f"{frames}; .*`parent_frame` .*`child_frame`.* world -> camera"):
         Bag.create(path=path, ground_truth="/tf", **values).open()
-    assert words in str(caught.value)
-    assert "world -> camera" in str(caught.value)
 
 
 def test_frames_in_a_circle_and_with_two_parents_are_refused(tmp_path):
@@ -160,7 +153,7 @@ def test_frames_in_a_circle_and_with_two_parents_are_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("numbers", "words"),
-    [([0.0, 0, 0, 0, 0, 0, 0], "quaternion has length 0"), ([np.nan, 0, 0, 0, 0, 0, 1], "not finite")],
+    [([0.0, 0, 0, 0, 0, 0, 0], "length 0"), ([np.nan, 0, 0, 0, 0, 0, 1], "not finite")],
 )
 def test_poses_that_are_none_are_errors_of_their_message(tmp_path, numbers, words):
     path = tmp_path / "a.bag"

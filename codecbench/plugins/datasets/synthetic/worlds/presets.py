@@ -125,13 +125,13 @@ WORLDS: dict[WorldName, World] = {
         Conditions(speed_m_s=2.2, tremor=4.0, exposure=1.0),
     ),
     "dim_room": World(
-        "the room with the light going out: fewer electrons, hence noise, and darker pictures",
+        "the room with the light going out: fewer electrons, hence noise, and darker frames",
         "room",
         replace(_ROOM, electrons=6000.0),
         replace(_ROOM, electrons=25.0, brightness=0.15),
     ),
     "poor_texture": World(
-        "the room with its surfaces fading to plain colours",
+        "the room with its surfaces fading to plain colors",
         "room",
         _ROOM,
         replace(_ROOM, contrast=0.03),
@@ -157,7 +157,7 @@ WORLDS: dict[WorldName, World] = {
         view_m=2.2,
     ),
     "panning_room": World(
-        "the room from one place: the camera looks to and fro, with ever less of a base",
+        "the room from one place: the camera looks to and fro, with an ever shorter baseline",
         "room",
         Conditions(turn_deg_s=25.0, radius_m=0.3, speed_m_s=0.0),
         Conditions(turn_deg_s=55.0, radius_m=0.05, speed_m_s=0.0, exposure=0.4),
@@ -175,7 +175,7 @@ WORLDS: dict[WorldName, World] = {
         view_m=2.0,
     ),
     "repetitive_corridor": World(
-        "the corridor with its bays more and more alike",
+        "the corridor with its bays more and more similar",
         "corridor",
         replace(_CORRIDOR, speed_m_s=1.3),
         replace(_CORRIDOR, speed_m_s=1.3, distinctness=0.5),
@@ -185,7 +185,7 @@ WORLDS: dict[WorldName, World] = {
         view_m=2.0,
     ),
     "slow_start": World(
-        "a flat wall of the corridor in small pictures, from a rail: dark for a second, hardly any motion at first",
+        "a flat wall of the corridor in small frames, from a rail: dark for a second, hardly any motion at first",
         "corridor",
         Conditions(speed_m_s=0.5, tremor=0.05, brightness=0.8, electrons=6000.0, first_light=0.1),
         Conditions(speed_m_s=1.2, tremor=0.05, brightness=0.3, electrons=1000.0, first_light=0.003),
@@ -194,7 +194,7 @@ WORLDS: dict[WorldName, World] = {
         height=240,
     ),
     "street": World(
-        "a street canyon from a car, wide pictures at 10 Hz, right-angle turns; a kilometre until it repeats",
+        "a street canyon from a car, wide frames at 10 Hz, right-angle turns; a kilometer until it repeats",
         "street",
         Conditions(speed_m_s=5.0, radius_m=9.0, tremor=0.3, exposure=0.03),
         Conditions(speed_m_s=10.0, radius_m=6.0, tremor=0.6, exposure=0.1, electrons=3000.0),
@@ -212,7 +212,7 @@ WORLDS: dict[WorldName, World] = {
         _ROAD, about="the same behind a lettered van that keeps its distance", place="street_and_van"
     ),
     "field": World(
-        "fields, hedges and farms from thirty metres above",
+        "fields, hedges and farms from thirty meters above",
         "field",
         Conditions(speed_m_s=7.0, tremor=1.0, exposure=0.05),
         Conditions(speed_m_s=22.0, tremor=6.0, exposure=0.4, electrons=1500.0),
