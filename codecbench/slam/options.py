@@ -26,4 +26,4 @@ class Options:
         if not 1 <= self.levels <= 16:
             raise ValueError(f"Options.levels: {self.levels} is not in 1..16")
         if not 1.0 < self.scale_factor <= 2.0:
-            raise ValueError(f"Options.scale_factor: {self.scale_factor} is not above 1 and up to 2")
+            raise ValueError(f"Options.scale_factor: {self.scale_factor} is not above 1 and at most 2")

@@ -140,7 +140,7 @@ class System:
     def _refusal_reason(self, size: tuple[int, int], timestamp_s: float) -> str:
         """Return why a frame of this width and height cannot be used, or an empty string."""
         if size != (self.camera.width, self.camera.height):
-            return f"an image of {size[0]}x{size[1]} where the camera has {self.camera.width}x{self.camera.height}"
+            return f"the image is {size[0]}x{size[1]}, the camera {self.camera.width}x{self.camera.height}"
         if not math.isfinite(timestamp_s) or timestamp_s <= self._last_s:
             return f"timestamp {timestamp_s} s is not after the last one, {self._last_s} s"
         return ""
@@ -205,8 +205,8 @@ class System:
         gray = to_gray(image)
         if gray.shape != (self.camera.height, self.camera.width):
             raise ValueError(
-                f"keyframe_image: returned {gray.shape[1]}x{gray.shape[0]}, "
-                f"where the camera has {self.camera.width}x{self.camera.height}"
+                f"keyframe_image: returned {gray.shape[1]}x{gray.shape[0]}; "
+                f"the camera has {self.camera.width}x{self.camera.height}"
             )
         return self._extractor.extract(gray)
 

@@ -11,23 +11,23 @@ _HERE = "codecbench.plugins.evaluators."
 def codecbench_evaluators() -> list[PluginSpec]:
     return [
         PluginSpec("quality", _HERE + "quality:Quality", "rate, PSNR and structural similarity, frame by frame"),
-        PluginSpec("features", _HERE + "features:Features", "what a feature-based tracker would lose"),
-        PluginSpec("stream", _HERE + "stream:Stream", "bit rate, delay, and joining in the middle of a stream"),
+        PluginSpec("features", _HERE + "features:Features", "keypoints and matches that a feature-based tracker loses"),
+        PluginSpec("stream", _HERE + "stream:Stream", "bit rate, coding delay and random access"),
         PluginSpec(
-            "delivery", _HERE + "delivery:DeliveryEvaluator", "what arrives over a link, when, and how old it is"
+            "delivery", _HERE + "delivery:DeliveryEvaluator", "which frames arrive over a link, when, and their age"
         ),
         PluginSpec("timing", _HERE + "timing:Timing", "encode and decode time per frame, wall and CPU"),
         PluginSpec("operations", _HERE + "operations:Operations", "operations per stage, in the paper's seven classes"),
         PluginSpec(
             "trajectory",
             _HERE + "trajectory:TrajectoryEvaluator",
-            "what SLAM on the decoded frames makes of the camera's path",
+            "the camera path that SLAM estimates from the decoded frames",
             requires=("evo",),
         ),
         PluginSpec(
             "localization",
             _HERE + "localization:Localization",
-            "where each decoded frame is in a map of the raw frames, from the previous pose and from nothing",
+            "the pose of each decoded frame in a map of the raw frames, by tracking and by relocalization",
             requires=("evo",),
         ),
         PluginSpec(
@@ -38,6 +38,6 @@ def codecbench_evaluators() -> list[PluginSpec]:
         PluginSpec(
             "place_recognition",
             _HERE + "place_recognition:PlaceRecognition",
-            "whether decoded frames find the places that they revisit among raw ones",
+            "whether decoded frames retrieve raw frames of the same place",
         ),
     ]

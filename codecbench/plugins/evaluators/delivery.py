@@ -29,9 +29,9 @@ from codecbench.plugins.evaluators.outcomes import rows_of_outcomes
 
 _CAUSES_OF_LOSS: Final[dict[FrameOutcome, tuple[str, str]]] = {
     "late": ("share of frames older than deadline_ms, or after a newer one", "too late"),
-    "lost": ("share of frames sent but never whole", "lost on the way"),
+    "lost": ("share of frames sent but never whole", "lost in transit"),
     "broken": ("share of frames whole that depend on one not whole", "broken by an earlier loss"),
-    "skipped": ("share of frames never sent, for want of time or rate", "never sent"),
+    "skipped": ("share of frames never sent, for lack of time or rate", "never sent"),
 }
 """Summary and label of the metric `<outcome>_share` of each outcome that keeps a frame from being on time."""
 
@@ -39,14 +39,15 @@ _CAUSES_OF_LOSS: Final[dict[FrameOutcome, tuple[str, str]]] = {
 _TIMELINE: Final = "timeline.csv"
 """File of a line for each frame: capture time, delivery time (both in seconds, infinite if never) and outcome."""
 _NOTE: Final = (
-    "The age of the newest picture falls when one comes, and rises until the next; beside it the delay of each."
+    "The age of the newest frame falls when a frame arrives, then rises until the next. The other line is their delay."
 )
 
 
 class DeliveryParams(LinkSettings):
-    """`link` and all about it: see LinkSettings. `repeats`: cells for each setting, each with its own chance.
+    """Set the link over which frames are delivered; LinkSettings explains the parameters not listed here.
 
-    `architecture`: `features` refuses codecs of pictures; else each is measured by what it sends.
+    repeats: cells per setting, each with other random numbers.
+    architecture: `features` refuses image codecs; otherwise any codec is measured by what it sends.
     """
 
     link: str | None = "ideal"
@@ -65,23 +66,23 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
     version = "1"
     params_type = DeliveryParams
     typical_ms_per_frame = 0.2
-    views = (View("map", "What comes, and how old it is", note=_NOTE),)
+    views = (View("map", "Delivered frames and their age", note=_NOTE),)
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
-            "on_time", "1", "higher", "1 if the frame is handed on, else 0",
-            role="task", headline=True, label="pictures on time", column_header="on time",
+            "on_time", "1", "higher", "1 if the receiver outputs the frame, else 0",
+            role="task", headline=True, label="frames before the deadline", column_header="on time",
         ),
         Metric(
             "age_ms", "ms", "lower",
-            "at each capture, age of the newest frame handed on, or time since the first capture",
+            "at each capture, age of the newest output frame, or time since the first capture",
             ("p95", "median", "max"),
-            role="task", headline=True, label="age of the newest picture", column_header="age ms", scale="log",
+            role="task", headline=True, label="age of the newest frame", column_header="age ms", scale="log",
         ),
         Metric(
             "delay_ms", "ms", "lower",
             "from capture until decoded; missing if not on time",
             ("median", "p95", "max"),
-            label="delay of pictures", scale="log", quantity="delay",
+            label="frame delay", scale="log", quantity="delay",
         ),
         Metric("delivered_share", "1", "higher", "share of frames whole, however late", label="delivered"),
         Metric(
@@ -90,12 +91,12 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         ),
         Metric(
             "partial_share", "1", "lower", "share of frames on time with missing packets",
-            label="in part",
+            label="partial",
         ),
         Metric(
             "partial_whole_share", "1", "higher",
-            "share of their pixels that are undamaged",
-            label="as sent of those in part",
+            "share of undamaged pixels in partial frames",
+            label="intact share of partial frames",
         ),
         *(
             Metric(f"{outcome}_share", "1", "lower", summary, label=label, quantity="cause")
@@ -105,7 +106,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         _count_metric("stalls_1_s", "waits over 1 s for a frame", "stalls over 1 s"),
         Metric("longest_stall_s", "s", "lower", "longest wait for a frame", ("median", "max"), scale="log"),
         _count_metric(
-            "queue_packets", "packets queued when a frame comes to the encoder",
+            "queue_packets", "packets queued when a frame reaches the encoder",
             "packets waiting", ("p95", "max"),
         ),
         Metric(
@@ -117,7 +118,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
             "bytes sent, with headers, redundancy and retransmissions",
             role="rate", label="sent over the link", scale="log",
         ),
-        Metric("wasted_share", "1", "lower", "share of sent bytes for frames not on time", label="sent in vain"),
+        Metric("wasted_share", "1", "lower", "share of sent bytes for frames not on time", label="wasted"),
         Metric("packets_sent", "1", "neither", "packets given to the link"),
         Metric("packets_arrived", "1", "neither", "packets that arrived"),
         Metric("packets_late", "1", "lower", "packets arrived when their frame was past deadline_ms"),
@@ -153,7 +154,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         yield (
             Measurement("concealed_share", concealed / len(handed))
             if handed
-            else Measurement("concealed_share", math.nan, reason="no picture was on time")
+            else Measurement("concealed_share", math.nan, reason="no frame was on time")
         )
         if self.params.partial:
             yield from _partial_measurements(delivery)
@@ -175,17 +176,17 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
         words = [f"{100 * share:.0f} % {cause}" for cause, share in shares if share >= 0.005]
         lines = (
             Line(
-                "age of the newest picture",
+                "age of the newest frame",
                 "after",
                 _age_sawtooth(captured_s[is_on_time], handed_s[is_on_time], captured_s[-1]),
             ),
-            Line("delay of pictures", "before", np.column_stack([captured_s, handed_s - captured_s])[is_on_time]),
+            Line("frame delay", "before", np.column_stack([captured_s, handed_s - captured_s])[is_on_time]),
         )
         caption = ", ".join([f"{100 * is_on_time.mean():.0f} % on time", *words])
         newest = np.searchsorted(handed_s[is_on_time], captured_s, side="right")
         ages_s = captured_s - np.concatenate([captured_s[:1], captured_s[is_on_time]])[newest]
         frames = np.arange(len(captured_s))
-        timeline = FrameTimeline(frames, None, ages_s, "s", rows_of_outcomes(outcomes), "age of the newest picture")
+        timeline = FrameTimeline(frames, None, ages_s, "s", rows_of_outcomes(outcomes), "age of the newest frame")
         nonempty = tuple(line for line in lines if len(line.points))
         return Drawing(nonempty, caption, axes=("time [s]", "age [s]"), timeline=timeline)
 
@@ -198,7 +199,7 @@ def _read_timeline(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 
 def _age_sawtooth(captured_s: NDArray[np.float64], handed_s: NDArray[np.float64], end_s: float) -> NDArray[np.float64]:
-    """(P, 2) time and age of the newest picture, from time 0. The age falls when one arrives, then rises."""
+    """(P, 2) time and age of the newest frame, from time 0. The age falls when one arrives, then rises."""
     newest_s = np.concatenate([[0.0], captured_s])
     begins_s = np.concatenate([[0.0], handed_s])
     ends_s = np.concatenate([handed_s, [max(end_s, begins_s[-1])]])
@@ -214,7 +215,7 @@ def _frame_measurements(delivery: Delivery) -> Iterator[Measurement]:
         is_on_time = math.isfinite(delivery.handed_s[frame])
         delay_ms = 1e3 * float(delivery.handed_s[frame] - delivery.captured_s[frame]) if is_on_time else math.nan
         yield Measurement("on_time", float(is_on_time), frame)
-        yield Measurement("delay_ms", delay_ms, frame, reason=None if is_on_time else f"the picture was {outcome}")
+        yield Measurement("delay_ms", delay_ms, frame, reason=None if is_on_time else f"the frame was {outcome}")
         yield Measurement("age_ms", 1e3 * age_s, frame)
         yield Measurement("queue_packets", float(waiting), frame)
 
@@ -223,10 +224,10 @@ def _partial_measurements(delivery: Delivery) -> Iterator[Measurement]:
     """The metrics of frames that were handed on with packets missing."""
     whole_shares = [delivery.parts[frame].whole_share for frame in delivery.output_frames if frame in delivery.parts]
     if not delivery.output_frames:
-        yield Measurement("partial_share", math.nan, reason="no picture was on time")
+        yield Measurement("partial_share", math.nan, reason="no frame was on time")
     else:
         yield Measurement("partial_share", len(whole_shares) / len(delivery.output_frames))
-    reason = None if whole_shares else "no picture came in part"
+    reason = None if whole_shares else "no frame was partial"
     yield Measurement("partial_whole_share", float(np.mean(whole_shares)) if whole_shares else math.nan, reason=reason)
 
 

@@ -40,11 +40,11 @@ RANSAC_ITERATIONS: Final = 2000
 
 
 class FeaturesParams(Params):
-    """Settings of `features`.
+    """Set how many keypoints are compared, and how far apart they may be.
 
-    keypoints: ORB keypoints that each finder keeps in a frame. tolerance_px: how far a keypoint may move, at its own
-    pyramid level, and still count as found. match_bits: Hamming distance up to which two descriptors match. inlier_px:
-    distance from the epipolar line up to which a match is an inlier.
+    keypoints: most ORB keypoints of each detector in a frame. tolerance_px: largest shift of a keypoint that counts as
+    found again, in pixels of its pyramid level. match_bits: largest Hamming distance between descriptors that match.
+    inlier_px: largest distance of an inlier from its epipolar line, in pixels.
     """
 
     keypoints: Annotated[int, Field(ge=100, le=10_000)] = 1000
@@ -144,7 +144,7 @@ class Features(SequenceEvaluator[FeaturesParams]):
         after = matches(previous.decoded.descriptors, current.decoded.descriptors, bits)
         first = np.flatnonzero(before >= 0)
         if len(first) == 0:
-            values["matches_kept"] = "the original frame matches nothing in the previous one"
+            values["matches_kept"] = "the original frame has no match in the previous one"
         else:
             starts, ends = previous.partners[first], current.partners[before[first]]
             both = (starts >= 0) & (ends >= 0)

@@ -30,7 +30,7 @@ from codecbench.plugins.evaluators.reference_map import (
 from codecbench.plugins.evaluators.trajectory.alignment import rotation_angles_deg
 from codecbench.slam.features.extractor import Features
 
-WAYS: Final = {"tracked": "from the previous pose", "relocalized": "from nothing"}
+WAYS: Final = {"tracked": "from the previous pose", "relocalized": "by relocalization"}
 """How a frame is located, by the prefix of the metrics."""
 
 
@@ -45,13 +45,13 @@ def _metrics_of(way: str, how: str) -> tuple[Metric, ...]:
             role="task", label=f"located {how}",
         ),
         Metric(
-            f"{way}_inliers", "1", "higher", f"map points behind a right pose, else 0, {how}",
+            f"{way}_inliers", "1", "higher", f"map points that support a correct pose, else 0, {how}",
             role="task", headline=way == "tracked", label=f"map points found, {how}", column_header="map points",
         ),
         task("position_error_mm", "mm", "distance from the true position", "position error"),
         task("rotation_error_deg", "deg", "angle from the true orientation", "rotation error"),
-        task("position_to_raw_mm", "mm", "distance from the raw frame's position", "position beside raw"),
-        task("rotation_to_raw_deg", "deg", "angle from the raw frame's orientation", "rotation beside raw"),
+        task("position_to_raw_mm", "mm", "distance from the raw frame's position", "position offset from raw"),
+        task("rotation_to_raw_deg", "deg", "angle from the raw frame's orientation", "rotation offset from raw"),
     )  # fmt: skip
 
 
@@ -67,14 +67,15 @@ _BACKEND = "orb"
 
 
 class LocalizationParams(ReaderSettings):
-    """Settings of `localization`.
+    """Set the map, the limits of a correct pose, and optionally a link.
 
-    backend_params: of the SLAM backend `orb`, which makes the map and the features of the frames that are located.
-    architecture: `features` refuses codecs of pictures; else a frame is located by what its codec sends.
-    limit_share: of the scene's depth, the distance from the raw frame's position at which a pose is worth nothing; also
-    the angle from its orientation, in radians, at which map points no longer count.
-    association_s: how far apart in time a frame and its ground truth may be. link and all about it: see ReaderSettings;
-    a frame that is not delivered is not located, nor one that comes while another is being located, for slam_ms.
+    backend_params: parameters of the SLAM backend `orb`, which makes the map and detects features.
+    architecture: `features` refuses image codecs; otherwise a frame is located by what its codec sends.
+    limit_share: distance from the raw frame's position at which a pose scores 0, as a share of the scene's median
+    depth; also the angle from its orientation, in radians, beyond which map points do not count.
+    association_s: largest time between a frame and its ground truth, in seconds.
+    The others are about a link, see ReaderSettings. A frame that is not delivered is not located, nor is one that
+    arrives during the slam_ms in which another is located.
     """
 
     backend_params: dict[str, Any] = Field(default_factory=dict)
@@ -82,7 +83,7 @@ class LocalizationParams(ReaderSettings):
     limit_share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
     association_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
     slam_ms: Time = 0.0
-    """Not measured: the SLAM that `trajectory` times does more than locating."""
+    """A number, never `measured`: the SLAM that `trajectory` times does more than locating."""
 
 
 class Localization(SequenceEvaluator[LocalizationParams]):
@@ -166,7 +167,7 @@ def _frame_measurements(
         yield from _distance(way, "error", localized, true, index, "the frame has no true pose")
         raw_pose = raw[way]
         expected = np.full((4, 4), np.nan) if raw_pose is None else raw_pose.world_from_camera
-        yield from _distance(way, "to_raw", localized, expected, index, "the raw frame is not located itself")
+        yield from _distance(way, "to_raw", localized, expected, index, "the raw frame is not located")
     yield _area(reference_map, index, poses["tracked"], raw["tracked"])
 
 
@@ -192,7 +193,7 @@ def _inliers(
 ) -> Measurement:
     """The map points behind a pose if it is right, else 0: within both limits of the raw frame's pose."""
     if raw is None:
-        return Measurement(metric, math.nan, frame=index, reason="the raw frame is not located itself")
+        return Measurement(metric, math.nan, frame=index, reason="the raw frame is not located")
     if localized is None:
         return Measurement(metric, 0.0, frame=index)
     pose, expected = localized.world_from_camera, raw.world_from_camera
@@ -206,7 +207,7 @@ def _area(
 ) -> Measurement:
     """The frame's share, 0 to 1, of the area under the curve of located frames over distance."""
     if raw is None:
-        return Measurement("located_auc", math.nan, frame=index, reason="the raw frame is not located itself")
+        return Measurement("located_auc", math.nan, frame=index, reason="the raw frame is not located")
     if localized is None:
         return Measurement("located_auc", 0.0, frame=index)
     distance_m = np.linalg.norm(localized.world_from_camera[:3, 3] - raw.world_from_camera[:3, 3])

@@ -30,11 +30,11 @@ from codecbench.slam.places.vocabulary import BowVector, Vocabulary
 
 
 class PlaceRecognitionParams(Params):
-    """Settings of `place_recognition`.
+    """Set which frames show the same place.
 
-    features: ORB features kept in a frame. radius_m, angle_deg: how near two true poses are that show one place. gap_s:
-    how far apart in time two frames must be for the later to be a revisit; nearer ones are not in the database.
-    association_s: how far apart in time a frame and its ground truth may be.
+    features: most ORB features in a frame. radius_m, angle_deg: two frames show the same place if their true poses are
+    at most this far apart. gap_s: shortest time between a frame and the frames that it is compared with, in seconds.
+    association_s: largest time between a frame and its ground truth, in seconds.
     """
 
     features: Annotated[int, Field(ge=100, le=10_000)] = 1000
@@ -73,31 +73,31 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
     metrics: ClassVar[tuple[Metric, ...]] = (
         Metric(
             "recall_at_1", "1", "higher", "1 if the most similar raw frame shows the place, else 0",
-            role="task", label="places found first",
+            role="task", label="place recall at 1",
         ),
         Metric(
             "recall_at_5", "1", "higher", "1 if one of the five most similar does, else 0",
-            role="task", label="places found among five",
+            role="task", label="place recall at 5",
         ),
         Metric(
             "average_precision", "1", "higher",
             "mean precision at the rank of each raw frame of the place; 0 without a common word",
-            role="task", headline=True, label="places, mean average precision", column_header="places mAP",
+            role="task", headline=True, label="place mean average precision", column_header="places mAP",
         ),
     )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
         sequence, camera = coded.sequence, coded.sequence.camera
         if camera is None:
-            raise Unsupported(f"sequence {sequence.name} has no camera; its features cannot be placed")
+            raise Unsupported(f"sequence {sequence.name} has no camera; features need its calibration")
         bags = _BagOfWords(camera, self.params.features)
         key = ("place_recognition", self.version, *self.params.model_dump().values())
         places = sequence.read(0).cached(key, lambda _: self._places(sequence, bags))
         if not any(len(others) for others in places.revisits.values()):
             limits = f"{self.params.radius_m:g} m and {self.params.angle_deg:g} degrees"
             raise Unsupported(
-                f"{sequence.name} comes back to no place: no two frames {self.params.gap_s:g} s apart are within "
-                f"{limits} of each other; give a sequence with a loop, or another radius_m, angle_deg or gap_s"
+                f"{sequence.name} revisits no place: no two frames {self.params.gap_s:g} s apart are within "
+                f"{limits} of each other; give a sequence with a loop, or change radius_m, angle_deg or gap_s"
             )
         for index, others in places.revisits.items():
             if len(others):
@@ -106,7 +106,7 @@ class PlaceRecognition(SequenceEvaluator[PlaceRecognitionParams]):
                 yield Measurement("recall_at_5", recall(ranking, others, 5), frame=index)
                 yield Measurement("average_precision", average_precision(ranking, others), frame=index)
             else:
-                reason = "no other frame shows the place of this one"
+                reason = "no other frame shows this place"
                 yield from (Measurement(m.name, math.nan, frame=index, reason=reason) for m in self.metrics)
 
     def _places(self, sequence: FrameSequence, bags: _BagOfWords) -> Places:

@@ -23,7 +23,7 @@ from codecbench.plugins.evaluators.fidelity import (
 class Quality(SequenceEvaluator[NoParams]):
     """Rate, PSNR and structural similarity of every frame. docs/metrics.md defines each metric.
 
-    Feature codecs have a rate only, because no picture comes back.
+    Feature codecs have a rate only, because no image is decoded.
     """
 
     name = "quality"
@@ -95,7 +95,7 @@ def _rate(original: Frame, size: int, frame_rate_hz: float) -> Iterator[tuple[st
 def _no_fidelity(image: Image) -> Iterator[tuple[str, float, str | None]]:
     for name in ("psnr_gray_db", "psnr_rgb_db", "ssim_matlab", "ssim_wang", "ms_ssim"):
         if name != "psnr_rgb_db" or channel_count(image) == 3:
-            yield name, math.nan, "features are sent, and no picture comes back"
+            yield name, math.nan, "the codec sends features, so no image is decoded"
 
 
 def _fidelity(coded: CodedFrame) -> Iterator[tuple[str, float, str | None]]:

@@ -81,12 +81,12 @@ def build_reference_map(
         raise Unsupported(f"sequence {sequence.name} has no camera; a map needs its calibration")
     built = backend.map_of(sequence, camera, seed=0)
     if built is None:
-        raise Unsupported(f"the raw frames of {sequence.name} make no map; is there motion enough, and texture?")
+        raise Unsupported(f"the raw frames of {sequence.name} make no map; SLAM needs motion and texture")
     mapped = Trajectory(built.trajectory.timestamps_s, built.trajectory.world_from_camera)
     try:
         world_from_map = align(associate(mapped, sequence.ground_truth, association_s), whole_turn=True)
     except Undefined as why:
-        raise Unsupported(f"the map of {sequence.name} cannot be aligned with the truth: {why}") from why
+        raise Unsupported(f"the map of {sequence.name} cannot be aligned with the ground truth: {why}") from why
     limit_m = limit_share * world_from_map.scale * built.localizer.scene_depth()
     predictions, reasons = _predictions(built, len(sequence))
     return ReferenceMap(
@@ -101,7 +101,7 @@ def _predictions(built: BuiltMap, frames: int) -> tuple[dict[int, NDArray[np.flo
     predictions, reasons = {}, {}
     for index in range(frames):
         if index in keyframes:
-            reasons[index] = "the map holds features of this raw frame, a keyframe: nothing else could be found so well"
+            reasons[index] = "the raw frame is a keyframe of the map, which contains its features"
         elif not {index, index - 1, index - 2} <= poses.keys():
             reasons[index] = "the raw frame or one of the two before it is not in the map"
         else:

@@ -22,8 +22,10 @@ from codecbench.plugins.evaluators.fidelity import psnr_db
 
 
 class StreamParams(Params):
-    """`joins`: how often the stream is joined in the middle; 0 leaves that out. `whole_db`: the PSNR against the
-    uninterrupted decoding from which on a picture counts as whole.
+    """Set how random access is measured.
+
+    joins: how often a decoder joins the stream in the middle; 0 omits the metrics of random access.
+    whole_db: least PSNR, in dB, of a whole frame against the uninterrupted decoding.
     """
 
     joins: Annotated[int, Field(ge=0, le=1000)] = 5
@@ -55,7 +57,7 @@ class Stream(SequenceEvaluator[StreamParams]):
         ),
         Metric(
             "delay_frames", "frames", "lower",
-            "most later frames taken before a frame's packet comes",
+            "most later frames that enter the encoder before a frame's packet leaves it",
             label="frames held back",
         ),
         Metric(
@@ -63,7 +65,8 @@ class Stream(SequenceEvaluator[StreamParams]):
             role="time", headline=True, label="coding delay", column_header="delay ms",
         ),
         Metric(
-            "first_packet_frames", "frames", "lower", "frames taken after the first before any packet",
+            "first_packet_frames", "frames", "lower",
+            "later frames that enter the encoder before the first packet leaves it",
             label="frames before the first packet",
         ),
         Metric(
@@ -73,10 +76,11 @@ class Stream(SequenceEvaluator[StreamParams]):
         Metric(
             "joining_frames", "frames", "lower",
             "median frames from joining until all later ones are whole",
-            headline=True, label="joining", column_header="join",
+            headline=True, label="random access delay", column_header="join",
         ),
         Metric(
-            "joining_worst_frames", "frames", "lower", "joining_frames of the worst join", label="joining, worst",
+            "joining_worst_frames", "frames", "lower", "joining_frames of the worst join",
+            label="random access delay, worst",
         ),
     )  # fmt: skip
 
@@ -97,10 +101,10 @@ class Stream(SequenceEvaluator[StreamParams]):
     def _joining(self, coded: CodedSequence) -> Iterator[Measurement]:
         places = join_places(len(coded.packets), self.params.joins)
         if not places:
-            yield from (_missing(name, "a sequence of one frame has no middle") for name in _JOINING)
+            yield from (_missing(name, "a sequence of one frame cannot be joined in the middle") for name in _JOINING)
             return
         waits = frames_until_whole(coded, places, self.params.whole_db)
-        never = f"{sum(map(math.isinf, waits))} of {len(places)} joins were not whole when the sequence ended"
+        never = f"the last frame was not whole after {sum(map(math.isinf, waits))} of {len(places)} joins"
         for name, frames in zip(_JOINING, (float(np.median(waits)), max(waits)), strict=True):
             yield _missing(name, never) if math.isinf(frames) else Measurement(name, frames)
 

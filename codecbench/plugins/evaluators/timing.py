@@ -40,10 +40,11 @@ _QUANTITIES: Final[dict[str, Quantity]] = {"encode_wall_ms": "encoding", "decode
 
 
 class TimingParams(Params):
-    """`frames`: how many, spread evenly over the sequence. `repeats`: cells for each setting. `warmup`: codings of
-    the first frame that are not timed, fewer where they take over 0.1 s. `min_ms`: calls that are faster are
-    repeated until this much has passed, and share it. With a codec that has memory or is of features, `frames` and
-    `warmup` are the first frames of the sequence.
+    """Set how many frames are timed, and how often.
+
+    frames: how many frames, spread evenly over the sequence. repeats: cells per setting. warmup: untimed codings of the
+    first frame, fewer if they take over 0.1 s. min_ms: faster calls are repeated for this long, and the mean counts.
+    For inter-frame and feature codecs, `frames` and `warmup` are the first frames of the sequence.
     """
 
     frames: Annotated[int, Field(ge=1)] = 10
@@ -97,15 +98,15 @@ class Timing(CodecEvaluator[TimingParams]):
         ),
         _time_metric("encode_wall_ms", "elapsed time, image to bitstream", "encoding time", "", "encode_cpu_ms"),
         _time_metric("decode_wall_ms", "elapsed time, bitstream to image", "decoding time", "", "decode_cpu_ms"),
-        _pace_metric("encode_mpix_per_s", "pixels over elapsed encoding time", "encoding pace", "encode_cpu_ms"),
-        _pace_metric("decode_mpix_per_s", "pixels over elapsed decoding time", "decoding pace", "decode_cpu_ms"),
+        _pace_metric("encode_mpix_per_s", "pixels over elapsed encoding time", "encoding throughput", "encode_cpu_ms"),
+        _pace_metric("decode_mpix_per_s", "pixels over elapsed decoding time", "decoding throughput", "decode_cpu_ms"),
         _time_metric(
             "prepare_wall_ms", "elapsed time of the search before encoding",
             "preparation time", "", "prepare_cpu_ms",
         ),
         _time_metric("prepare_cpu_ms", "processor time of the search before encoding", "preparation processor time"),
         Metric(
-            _YARDSTICK_MS, "ms", "neither", "fixed work timed beside each frame, to compare machines",
+            _YARDSTICK_MS, "ms", "neither", "time of a fixed task after each frame, to compare machines",
             ("median",), False, label="yardstick",
         ),
     )  # fmt: skip
@@ -132,7 +133,7 @@ class Timing(CodecEvaluator[TimingParams]):
         limits = self.params.warmup, self.params.min_ms
         coded = codec.at_encoder(time_encoding, images, *limits)
         decodings = codec.at_decoder(time_decoding, [bitstream for _, bitstream, *_ in coded], *limits)
-        unprepared = f"{codec.name} searches for nothing with this setting"
+        unprepared = f"{codec.name} needs no search at this setting"
         for (index, _, preparing, encoding, yardstick), decoding in zip(coded, decodings, strict=True):
             search = None if preparing is None else Duration(*preparing)
             durations = _Durations(Duration(*encoding), Duration(*decoding), search, Duration(*yardstick))
@@ -148,12 +149,12 @@ class Timing(CodecEvaluator[TimingParams]):
             encode, decode, yardstick = (Duration(*times[index]) for times in (encoding, decoding, yardsticks))
             durations = _Durations(encode, decode, None, yardstick)
             yield from _frame_measurements(
-                durations, image, index, f"{codec.name} has memory and prepares no frame alone"
+                durations, image, index, f"{codec.name} has memory, so it prepares no single frame"
             )
 
     def _time_features(self, codec: AnyCodec[Any], sequence: FrameSequence) -> Iterator[Measurement]:
         """Encoding is all that the device does; extracting the features is a stage of it."""
-        unprepared = f"{codec.name} finds features, and searches for nothing else"
+        unprepared = f"{codec.name} sends features and needs no search"
         images = [sequence.read(index).image for index in range(min(len(sequence), self.params.frames))]
         packets, *times = codec.at_encoder(time_feature_encoding_in_order, images, self.params.warmup)
         times.append(codec.at_decoder(time_decoding_in_order, packets, self.params.warmup))

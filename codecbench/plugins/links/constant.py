@@ -26,7 +26,10 @@ class _IdealChannel(Channel):
 
 
 class ConstantParams(RadioParams):
-    """loss: share of the packets that are lost, each by itself. The others are those of every radio."""
+    """Set the loss of a radio; see also RadioParams.
+
+    loss: probability that a packet is lost, independent of the others.
+    """
 
     loss: Share = 0.0
 

@@ -15,8 +15,9 @@ from codecbench.plugins.links.queued import Duration, Flight, RadioLink, RadioPa
 
 
 class GilbertElliottParams(RadioParams):
-    """good_ms, bad_ms: mean lengths of the two states. good_loss,
-    bad_loss: share of the packets that are lost in each.
+    """Set the two states of a radio; see also RadioParams.
+
+    good_ms, bad_ms: mean durations of the states. good_loss, bad_loss: probability that a packet is lost in each.
     """
 
     good_ms: Duration

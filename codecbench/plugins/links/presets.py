@@ -9,7 +9,7 @@ from codecbench.plugins.links.trace import Embedded, Trace, TraceParams
 
 
 class WifiGoodParams(GilbertElliottParams):
-    """As of `gilbert_elliott`."""
+    """Set the parameters of `gilbert_elliott`, which have other defaults here."""
 
     rate_kbps: Duration = 40_000.0
     delay_ms: Time = 2.0
@@ -21,14 +21,14 @@ class WifiGoodParams(GilbertElliottParams):
 
 
 class WifiGood(GilbertElliott):
-    """Wi-Fi beside the access point."""
+    """Wi-Fi near the access point."""
 
     name = "wifi_good"
     params_type = WifiGoodParams
 
 
 class WifiEdgeParams(GilbertElliottParams):
-    """As of `gilbert_elliott`."""
+    """Set the parameters of `gilbert_elliott`, which have other defaults here."""
 
     rate_kbps: Duration = 6_000.0
     delay_ms: Time = 4.0
@@ -40,14 +40,14 @@ class WifiEdgeParams(GilbertElliottParams):
 
 
 class WifiEdge(GilbertElliott):
-    """Wi-Fi at the edge of its range: slow, and lost in bursts."""
+    """Wi-Fi at the edge of its range: slow, with bursts of loss."""
 
     name = "wifi_edge"
     params_type = WifiEdgeParams
 
 
 class LteParams(TraceParams):
-    """As of `trace`."""
+    """Set the parameters of `trace`, which have other defaults here."""
 
     trace: Embedded = "lte_still"
     delay_ms: Time = 35.0
@@ -55,27 +55,27 @@ class LteParams(TraceParams):
 
 
 class Lte(Trace):
-    """The way up of LTE, standing still."""
+    """LTE uplink, standing still."""
 
     name = "lte"
     params_type = LteParams
 
 
 class LteMovingParams(LteParams):
-    """As of `trace`."""
+    """Set the parameters of `trace`, which have other defaults here."""
 
     trace: Embedded = "lte_moving"
 
 
 class LteMoving(Trace):
-    """The way up of LTE from a vehicle: its rate swings, and it stops."""
+    """LTE uplink from a vehicle: varying rate, outages."""
 
     name = "lte_moving"
     params_type = LteMovingParams
 
 
 class Telemetry900MhzParams(ConstantParams):
-    """As of `constant`."""
+    """Set the parameters of `constant`, which have other defaults here."""
 
     rate_kbps: Duration = 200.0
     delay_ms: Time = 20.0
@@ -92,7 +92,7 @@ class Telemetry900Mhz(Constant):
 
 
 class SatelliteLeoParams(GilbertElliottParams):
-    """As of `gilbert_elliott`."""
+    """Set the parameters of `gilbert_elliott`, which have other defaults here."""
 
     rate_kbps: Duration = 17_000.0
     delay_ms: Time = 20.0
@@ -104,14 +104,14 @@ class SatelliteLeoParams(GilbertElliottParams):
 
 
 class SatelliteLeo(GilbertElliott):
-    """The way up to satellites in low orbit."""
+    """Uplink to satellites in low orbit."""
 
     name = "satellite_leo"
     params_type = SatelliteLeoParams
 
 
 class UnderwaterAcousticParams(ConstantParams):
-    """As of `constant`."""
+    """Set the parameters of `constant`, which have other defaults here."""
 
     rate_kbps: Duration = 5.0
     delay_ms: Time = 667.0
@@ -120,7 +120,7 @@ class UnderwaterAcousticParams(ConstantParams):
 
 
 class UnderwaterAcoustic(Constant):
-    """Sound through a kilometre of water."""
+    """Acoustic modem through 1 km of water."""
 
     name = "underwater_acoustic"
     params_type = UnderwaterAcousticParams

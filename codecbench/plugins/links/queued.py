@@ -22,7 +22,10 @@ Distribution = Literal["exponential", "uniform"]
 
 
 class QueuedParams(Params):
-    """delay_ms: one way. queue: its discipline. queue_packets: how many may wait."""
+    """Set the delay and the queue of a link.
+
+    delay_ms: one-way delay. queue: discipline of the queue. queue_packets: most packets that wait in it.
+    """
 
     delay_ms: Time = 0.0
     queue: Discipline = "drop_tail"
@@ -30,8 +33,10 @@ class QueuedParams(Params):
 
 
 class RadioParams(QueuedParams):
-    """rate_kbps: 1,000 bits a second. jitter_ms: its mean, on top of the delay, drawn for each packet from `jitter`:
-    `exponential`, or `uniform` from 0 to twice the mean.
+    """Set the rate and the jitter of a radio; see also QueuedParams.
+
+    rate_kbps: rate in units of 1,000 bits per second. jitter_ms: mean of the jitter, which is added to the delay of
+    each packet. jitter: its distribution, `exponential`, or `uniform` from 0 to twice the mean.
     """
 
     rate_kbps: Duration

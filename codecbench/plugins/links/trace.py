@@ -29,9 +29,11 @@ Embedded = Literal["lte_still", "lte_moving", "wifi_walking"]
 
 
 class TraceParams(QueuedParams):
-    """trace: one of ours, made by `codecbench.plugins.links.generator`. file: a trace of yours, in its place.
-    offset_ms: where in the trace time 0 is; drawn by chance where it is not given. loss: share of the packets that are
-    lost besides, each by itself.
+    """Set the trace and further losses; see also QueuedParams.
+
+    trace: an included trace, made by `codecbench.plugins.links.generator`. file: your own trace, used instead.
+    offset_ms: time in the trace at which the sequence starts; default: random. loss: probability that a packet is lost,
+    independent of the others.
     """
 
     trace: Embedded = "lte_still"
@@ -116,16 +118,12 @@ def opportunities_ms(text: str, source: str) -> list[int]:
     times_ms: list[int] = []
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip().isdecimal():
-            raise Unsupported(
-                f"{source}:{number}: got {line[:40]!r}; a trace has a whole number of milliseconds a line"
-            )
+            raise Unsupported(f"{source}:{number}: got {line[:40]!r}; expected a whole number of milliseconds")
         times_ms.append(int(line))
         if len(times_ms) > 1 and times_ms[-1] < times_ms[-2]:
-            raise Unsupported(
-                f"{source}:{number}: {times_ms[-1]} comes after {times_ms[-2]}; the times of a trace rise"
-            )
+            raise Unsupported(f"{source}:{number}: {times_ms[-1]} comes after {times_ms[-2]}; times must not decrease")
     if not times_ms or not times_ms[-1]:
-        raise Unsupported(f"{source}: a trace has a line that is later than 0")
+        raise Unsupported(f"{source}: got no time above 0; a trace needs one")
     return times_ms
 
 

@@ -62,7 +62,7 @@ class ChildProcess:
         while b"\n" not in self._rest:
             if not self._selector.select(max(deadline - time.monotonic(), 0.0)):
                 raise SlamError(
-                    f"{self._name} gave no answer within {timeout_s:g} s, {doing}; {self._describe_output()}"
+                    f"{self._name} did not reply within {timeout_s:g} s, {doing}; {self._describe_output()}"
                 )
             piece = os.read(self._process.stdout.fileno(), 1 << 16)
             if not piece:
@@ -75,7 +75,7 @@ class ChildProcess:
     def _describe_exit(self) -> str:
         code = self._process.wait(timeout=10.0)
         how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {code}"
-        advice = " for want of memory: allow more by the run's memory_mb" if "bad_alloc" in self._output() else ""
+        advice = " (out of memory: raise the run's memory_mb)" if "bad_alloc" in self._output() else ""
         return f"{self._name} {how}{advice}"
 
     def _describe_output(self) -> str:

@@ -38,8 +38,12 @@ _F = TypeVar("_F", Frame, FeatureFrame)
 
 
 class OrbParams(Params):
-    """Settings of `orb`: ORB features a frame, pyramid levels, the scale between two of them; whether loops are looked
-    for, and maps of one place to merge; whether each map is adjusted once more in the end."""
+    """Set the ORB features and the optional steps of the SLAM.
+
+    features: most ORB features in a frame. levels: pyramid levels. scale: ratio of two consecutive levels.
+    loop_closing: whether to close loops and merge maps of one place. final_adjustment: whether bundle adjustment
+    refines each map at the end.
+    """
 
     features: Annotated[int, Field(ge=100, le=10_000)] = 1000
     levels: Annotated[int, Field(ge=1, le=16)] = 8
@@ -84,8 +88,8 @@ class Orb(SlamBackend[OrbParams]):
         params, count, levels = self.params, len(features), int(features.octaves.max(initial=0)) + 1
         if count > params.features or levels > params.levels:
             raise Unsupported(
-                f"slam backend orb has room for {params.features} features of {params.levels} levels, and gets {count} "
-                f"of {levels}; raise features and levels in backend_params"
+                f"slam backend orb got {count} features of {levels} levels; backend_params allow {params.features} of "
+                f"{params.levels}: raise features and levels"
             )
         return keypoints_of(features)
 

@@ -34,11 +34,12 @@ SAVE_TIMEOUT_S: Final = 300.0
 
 
 class OrbSlam3Params(Params):
-    """Settings of `orbslam3`: ORB features a frame, pyramid levels and the scale between two of them.
+    """Set the ORB features and the pace of ORB-SLAM3.
 
-    slowdown: how many times slower than real time frames are handed over; on a machine that is busy or slow, raise it
-    until `slam_ms_per_frame` stays below the interval of the frames. answer_timeout_s: how long one frame may take
-    before the run counts as hung.
+    features: most ORB features in a frame. levels: pyramid levels. scale: ratio of two consecutive levels.
+    slowdown: how many times slower than real time frames are fed; on a busy or slow machine, raise it until
+    `slam_ms_per_frame` is below the frame interval. answer_timeout_s: longest time for one frame, in seconds, before
+    the run counts as hung.
     """
 
     features: Annotated[int, Field(ge=100, le=10_000)] = 1000
@@ -74,9 +75,9 @@ class OrbSlam3(SlamBackend[OrbSlam3Params]):
         keyframe_image: Callable[[int], Image] | None = None,
     ) -> SlamRun:
         if keyframe_image is not None:
-            raise SlamError("orbslam3 sees one image a frame; analyze-then-compress needs slam backend orb")
+            raise SlamError("orbslam3 takes one image per frame; for analyze-then-compress use slam backend orb")
         if any(camera.distortion[5:]):
-            raise SlamError("orbslam3 knows no rational lens (k4, k5, k6); slam backend orb does")
+            raise SlamError("orbslam3 does not support a rational lens (k4, k5, k6); use slam backend orb")
         with tempfile.TemporaryDirectory(prefix="codecbench-orbslam3-") as name:
             return self._run(Path(name), iter(frames), camera)
 
@@ -121,7 +122,7 @@ def _peek(frames: Iterator[Frame]) -> tuple[list[Frame], float]:
     """The first two frames and their frame rate. Raises SlamError if there are fewer than two."""
     first = list(islice(frames, 2))
     if len(first) < 2:
-        raise SlamError(f"orbslam3 got {len(first)} frame(s); it needs two to know their rate")
+        raise SlamError(f"orbslam3 got {len(first)} frame(s); it needs two for their rate")
     return first, 1.0 / (first[1].timestamp_s - first[0].timestamp_s)
 
 

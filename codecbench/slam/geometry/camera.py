@@ -53,7 +53,7 @@ class Camera:
             raise ValueError(f"Camera: size {self.width}x{self.height} has a side below 1")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(math.isfinite(number) for number in numbers):
-            raise ValueError(f"Camera: calibration {numbers} holds a number that is not finite")
+            raise ValueError(f"Camera: calibration {numbers} has a number that is not finite")
         if self.fx <= 0.0 or self.fy <= 0.0:
             raise ValueError(f"Camera: focal lengths {self.fx}, {self.fy} are not above 0")
         if len(self.distortion) > 8:

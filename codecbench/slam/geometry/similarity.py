@@ -92,7 +92,7 @@ def optimize_similarity(
     pairs = _validate_pairs(points_a, points_b, pixels_a, pixels_b, inverse_sigma2_a, inverse_sigma2_b, intrinsics)
     similarity = np.array(a_from_b, dtype=np.float64)
     if similarity.shape != (4, 4) or not np.linalg.det(similarity[:3, :3]) > 0.0:
-        raise ValueError("optimize_similarity: a_from_b is no (4, 4) similarity with a positive determinant")
+        raise ValueError("optimize_similarity: a_from_b is not a (4, 4) similarity with a positive determinant")
     inliers = np.zeros(len(pairs.points_a), dtype=np.bool_)
     _refine(pairs, similarity, inliers)
     return similarity, inliers

@@ -95,7 +95,7 @@ def reconstruct_two_views(
     motion, points, good = chosen
     deviation = direction_deviation_deg(motion, pixels_a[good], pixels_b[good], variances[good], camera.matrix)
     if deviation > thresholds.INIT_MAX_DEVIATION_DEG:
-        return f"the direction of motion is known to {deviation:.1f} degrees"
+        return f"the direction of motion is uncertain by {deviation:.1f} degrees"
     selected = np.nonzero(good)[0]
     return TwoViewReconstruction(
         motion,
@@ -179,7 +179,7 @@ def _choose_motion(
     results.sort(key=lambda result: -result[0])
     count, motion, views, agree = results[0]
     if count < max(thresholds.INIT_MIN_POINTS, thresholds.INIT_WINNER_SHARE * inlier_count):
-        return f"the best motion agrees with {count} points where the model had {inlier_count}"
+        return f"the best motion agrees with {count} points, the model with {inlier_count}"
     for rival_count, rival, _, rival_agree in results[1:]:
         apart = int((agree != rival_agree).sum())  # matches that distinguish the two; winner's less rival's:
         if count - rival_count < thresholds.INIT_RIVAL_SIGMAS * np.sqrt(apart) and not _nearly_equal(rival, motion):

@@ -48,7 +48,7 @@ class Trial:
         if self._map_misfit <= thresholds.TRIAL_MISFIT * self._rotation_misfit:
             return ""
         share = self._map_misfit / max(self._rotation_misfit, 1e-12)
-        return f"the map leaves {100.0 * share:.0f} % of what a rotation leaves of the matches with its first frame"
+        return f"the map leaves {100.0 * share:.0f} % of a rotation's misfit of the matches with its first frame"
 
     def end(self) -> None:
         """End the trial: the map stays."""

@@ -183,9 +183,9 @@ def _check(
         if array.shape != shape:
             raise ValueError(f"adjust: {name} has shape {array.shape}; expected {shape}")
         if not np.isfinite(array).all():
-            raise ValueError(f"adjust: {name} holds a value that is not finite")
+            raise ValueError(f"adjust: {name} has a value that is not finite")
     if (weights < 0.0).any():
-        raise ValueError("adjust: inverse_sigma2 holds a negative value")
+        raise ValueError("adjust: inverse_sigma2 has a negative value")
     for name, indices, limit in (
         ("camera_indices", camera_indices, len(poses)),
         ("point_indices", point_indices, len(points)),

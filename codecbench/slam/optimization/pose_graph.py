@@ -92,7 +92,7 @@ def _check(nodes: Array, edges: Indices, measurements: Array, weights: Array, fi
         if array.shape != shape:
             raise ValueError(f"pose_graph.optimize: {name} has shape {array.shape}; expected {shape}")
         if not np.isfinite(array).all():
-            raise ValueError(f"pose_graph.optimize: {name} holds a value that is not finite")
+            raise ValueError(f"pose_graph.optimize: {name} has a value that is not finite")
     if len(edges) and (edges.min() < 0 or edges.max() >= len(nodes)):
         raise ValueError(
             f"pose_graph.optimize: edges span nodes {edges.min()}..{edges.max()}; allowed 0..{len(nodes) - 1}"
@@ -100,10 +100,10 @@ def _check(nodes: Array, edges: Indices, measurements: Array, weights: Array, fi
     if (edges[:, 0] == edges[:, 1]).any():
         raise ValueError("pose_graph.optimize: an edge joins a node to itself")
     if (weights < 0.0).any():
-        raise ValueError("pose_graph.optimize: weights hold a negative value")
+        raise ValueError("pose_graph.optimize: weights have a negative value")
     for name, array in (("similarities", nodes), ("measurements", measurements)):
         if len(array) and not (np.linalg.det(array[:, :3, :3]) > 0.0).all():
-            raise ValueError(f"pose_graph.optimize: {name} hold a matrix that is no similarity: its determinant <= 0")
+            raise ValueError(f"pose_graph.optimize: {name} has a matrix that is no similarity: determinant <= 0")
 
 
 def _layout(edges: Indices, fixed: NDArray[np.bool_]) -> tuple[Indices, Indices]:

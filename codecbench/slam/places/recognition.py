@@ -117,7 +117,7 @@ class KeyframeDatabase:
         if len(bow.words) and (bow.words[0] < 0 or bow.words[-1] >= len(self._heads)):
             raise ValueError(
                 f"KeyframeDatabase: words span {bow.words[0]}..{bow.words[-1]}; allowed 0..{len(self._heads) - 1}: "
-                "take the bag from the vocabulary that the index was made for"
+                "use a bag of the database's vocabulary"
             )
 
     def _insert(self, keyframe: int, bow: BowVector) -> bool:

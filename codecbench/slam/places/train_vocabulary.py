@@ -55,7 +55,7 @@ def load_photographs() -> list[Gray]:
     for path in paths:
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         if image is None:
-            raise FileNotFoundError(f"{path}: this photograph should come with the package that holds it")
+            raise FileNotFoundError(f"{path} cannot be read; reinstall the package that contains it")
         out.append(np.asarray(image, dtype=np.uint8))
     return out
 

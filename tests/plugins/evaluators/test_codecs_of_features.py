@@ -49,7 +49,7 @@ def test_a_rate_is_measured_and_nothing_of_pictures(tmp_path: Path) -> None:
     assert values(found, "rate_bpp") == [8.0 * size / (width * height) for size in sizes]
     missing = {one.metric: one.reason for one in found if math.isnan(one.value)}
     assert missing.keys() == {"psnr_gray_db", "ssim_matlab", "ssim_wang", "ms_ssim"}
-    assert set(missing.values()) == {"features are sent, and no picture comes back"}
+    assert all("sends features" in str(reason) for reason in missing.values())
 
 
 def test_joining_waits_for_the_next_packet_that_starts(tmp_path: Path) -> None:
@@ -82,10 +82,10 @@ def test_what_depends_on_a_lost_set_is_not_handed_on(tmp_path: Path) -> None:
     ],
     ids=lambda evaluator: evaluator.name,
 )
-def test_codecs_of_pictures_are_refused_where_features_are_asked_for(evaluator: Any, tmp_path: Path) -> None:
+def test_image_codecs_are_refused_under_architecture_features(evaluator: Any, tmp_path: Path) -> None:
     plugins = Plugins(told=lambda _: Told(helix(COUNT)), orb=lambda _: None)
     coded = CodedInMemory(MemorySequence(PICTURES, CAMERA))
-    with pytest.raises(Unsupported, match="function sends pictures, not features; leave `architecture: features` out"):
+    with pytest.raises(Unsupported, match="architecture: features"):
         list(evaluator.evaluate(coded, context(tmp_path, plugins=plugins)))
 
 
@@ -145,7 +145,7 @@ def test_motion_is_found_from_the_features_that_come(tmp_path: Path) -> None:
     for metric in ("matches_lost", "correct_matches", "pose_error_deg"):
         assert np.array_equal(values(found, metric), values(raw, metric), equal_nan=True)
     coded = coded_features(Corners.create(), sequence)
-    with pytest.raises(Unsupported, match="binary features are received"):
+    with pytest.raises(Unsupported, match="detector sift"):
         list(RelativePose.create(**params, detector="sift").evaluate(coded, context(tmp_path)))
 
 
@@ -172,12 +172,12 @@ def test_slam_gets_the_features_and_all_packets_are_sent(architecture: str, tmp_
     assert values(found, "sent_size_bytes") == [sum(coded.size_bytes(index) for index in range(2, COUNT))]
 
 
-def test_who_cannot_take_features_says_so(tmp_path: Path) -> None:
+def test_features_are_refused_by_what_needs_images(tmp_path: Path) -> None:
     coded = coded_features(Corners.create(), MemorySequence(PICTURES, CAMERA))
     where = context(tmp_path, plugins=Plugins(told=lambda _: Told(helix(COUNT))))
-    with pytest.raises(Unsupported, match="told cannot run architecture features; it runs atc, cta"):
+    with pytest.raises(Unsupported, match=r"architecture features; .* atc, cta"):
         list(TrajectoryEvaluator.create(backend="told").evaluate(coded, where))
-    with pytest.raises(Unsupported, match="corners sends features, so that there is no picture"):
+    with pytest.raises(Unsupported, match="corners sends features"):
         list(TrajectoryEvaluator.create(backend="told", architecture="atc").evaluate(coded, where))
-    with pytest.raises(Unsupported, match="slam backend told takes images, not features"):
+    with pytest.raises(Unsupported, match="told takes images"):
         Told(helix(COUNT)).run_features([], CAMERA, seed=0)

@@ -88,10 +88,10 @@ def test_a_slow_link_by_hand(tmp_path: Path) -> None:
     assert values(found, "longest_stall_s") == pytest.approx([0.55], abs=1e-6)
     assert (values(found, "stalls_half_s"), values(found, "stalls_1_s")) == ([1.0], [0.0])
     missing = next(m for m in found if m.metric == "delay_ms" and m.frame == 1)
-    assert missing.reason == "the picture was skipped"
+    assert str(missing.reason).endswith(" skipped")
 
 
-def test_a_timeline_shows_the_age_of_the_newest_picture(tmp_path: Path) -> None:
+def test_a_timeline_shows_the_age_of_the_newest_frame(tmp_path: Path) -> None:
     """Pictures 0, 2, 5 and 7 of eight come, each 275 ms after it was begun with."""
     evaluator = DeliveryEvaluator.create(link="constant", link_params={"rate_kbps": 32})
     found = tuple(evaluator.evaluate(coded([1060] * 8), context(tmp_path, 0, PLUGINS)))
@@ -104,7 +104,7 @@ def test_a_timeline_shows_the_age_of_the_newest_picture(tmp_path: Path) -> None:
     assert delay.points == pytest.approx(np.array([[0, 0.275], [0.2, 0.35], [0.5, 0.325], [0.7, 0.4]]), abs=1e-5)
     assert drawing.caption == "50 % on time, 50 % skipped"
     assert drawing.axes == ("time [s]", "age [s]")
-    assert (drawing.timeline.positions, drawing.timeline.quantity) == (None, "age of the newest picture")
+    assert (drawing.timeline.positions, drawing.timeline.quantity) == (None, age.name)
     assert drawing.timeline.errors == pytest.approx(np.array(values(found, "age_ms")) / 1e3, abs=1e-5)
     rows = {row.name: np.flatnonzero(row.holds).tolist() for row in drawing.timeline.rows}
     assert rows == {"on time": [0, 2, 5, 7], "skipped": [1, 3, 4, 6]}
@@ -150,8 +150,8 @@ def test_the_link_is_declared_and_more_repeats_change_no_identity() -> None:
     assert without_defaults(identities[0], evaluator.params) == {"link": "constant", "link_params": {"rate_kbps": 5}}
 
 
-def test_there_is_nothing_to_deliver_without_a_link() -> None:
-    with pytest.raises(ValidationError, match="name one, such as link: ideal"):
+def test_delivery_needs_a_link() -> None:
+    with pytest.raises(ValidationError, match="link: ideal"):
         DeliveryEvaluator.create(link=None)
 
 

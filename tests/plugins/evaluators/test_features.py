@@ -107,8 +107,8 @@ def test_originals_without_keypoints_are_missing_with_a_reason(
 ) -> None:
     found = measured([np.full(shape, 90, np.uint8)] * 2, FunctionCodec(), tmp_path)
     missing = {one.metric: one.reason for one in found if math.isnan(one.value)}
-    assert missing[finder + "keypoint_repeatability"] == "the original frame has no ORB keypoint"
-    assert missing[finder + "matches_kept"] == "the original frame matches nothing in the previous one"
+    assert "no ORB keypoint" in str(missing[finder + "keypoint_repeatability"])
+    assert "no match" in str(missing[finder + "matches_kept"])
     assert values(found, finder + "inlier_ratio") == [0.0]
 
 

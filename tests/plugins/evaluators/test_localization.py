@@ -111,17 +111,16 @@ def test_pictures_with_nothing_in_them_are_nowhere(tmp_path: Path) -> None:
     found = measured(Film(), tmp_path, FunctionCodec(np.zeros_like))
     for name in ("tracked_located", "tracked_inliers", "relocalized_located", "relocalized_inliers", "located_auc"):
         assert np.nanmax(values(found, name)) == 0.0
-    reasons = {m.reason for m in found if m.metric.endswith("_mm") and "located" in str(m.reason)}
-    assert reasons == {"the frame is not located"}
+    assert all(math.isnan(m.value) for m in found if m.metric.endswith("_mm"))
 
 
 @pytest.mark.thorough
 def test_a_film_of_nothing_makes_no_map(tmp_path: Path) -> None:
-    with pytest.raises(Unsupported, match="the raw frames of memory make no map"):
+    with pytest.raises(Unsupported, match="make no map"):
         measured(Film(images=[np.full((240, 320), 90, np.uint8)] * FRAMES), tmp_path)
 
 
-def test_what_a_sequence_lacks_is_said(tmp_path: Path) -> None:
+def test_a_sequence_without_ground_truth_or_camera_is_unsupported(tmp_path: Path) -> None:
     gray = [np.full((240, 320), 90, np.uint8)] * FRAMES
     for lacking, words in (
         (Film(truth=False, images=gray), "no ground truth"),
@@ -163,7 +162,7 @@ def test_distances_and_angles_are_those_made_by_hand() -> None:
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value), name
     assert set(found) == {metric.name for metric in Localization.metrics}
-    assert {m.reason for m in found.values() if math.isnan(m.value)} == {"the frame is not located"}
+    assert all("not located" in str(m.reason) for m in found.values() if math.isnan(m.value))
     assert judged(localized(0.03, 0.0), localized(0.0, 0.0), np.eye(4))["located_auc"].value == 0.0
 
 
@@ -193,10 +192,9 @@ def test_what_is_not_known_is_missing_and_what_is_lost_is_nothing() -> None:
     lost = judged(None, localized(0.0, 0.0), np.eye(4))
     assert (lost["tracked_located"].value, lost["tracked_inliers"].value, lost["located_auc"].value) == (0.0, 0.0, 0.0)
     unknown = judged(localized(0.0, 0.0), None, np.full((4, 4), np.nan))
-    assert unknown["tracked_position_error_mm"].reason == "the frame has no true pose"
-    assert unknown["tracked_position_to_raw_mm"].reason == "the raw frame is not located itself"
-    for name in ("located_auc", "tracked_inliers", "relocalized_inliers"):
-        assert unknown[name].reason == "the raw frame is not located itself"
+    assert "no true pose" in str(unknown["tracked_position_error_mm"].reason)
+    for name in ("tracked_position_to_raw_mm", "located_auc", "tracked_inliers", "relocalized_inliers"):
+        assert "raw frame" in str(unknown[name].reason)
 
 
 @pytest.mark.thorough
@@ -218,7 +216,7 @@ def test_frames_that_do_not_come_are_not_located(tmp_path: Path) -> None:
         elif metric in ("located_auc", "tracked_inliers", "relocalized_located"):
             assert here.value == 0.0
         elif metric == "tracked_position_error_mm":
-            assert here.reason == "the frame is not located"
+            assert math.isnan(here.value)
 
 
 @pytest.mark.thorough

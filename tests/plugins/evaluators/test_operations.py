@@ -80,7 +80,7 @@ def test_source_counts_add_up_over_stages(tmp_path: Path) -> None:
 
 
 def test_a_codec_with_neither_is_unsupported_with_both_reasons(tmp_path: Path) -> None:
-    with pytest.raises(Unsupported, match=r"raw is opaque.*; the paper has no model of raw"):
+    with pytest.raises(Unsupported, match=r"raw is opaque.*no model"):
         values(Raw.create(), tmp_path)
     with pytest.raises(Unsupported, match="no model of jpeg2000"):
         values(Jpeg2000.create(lossless=True), tmp_path, SMALL)
@@ -88,7 +88,7 @@ def test_a_codec_with_neither_is_unsupported_with_both_reasons(tmp_path: Path) -
 
 def test_a_codec_with_memory_is_opaque(tmp_path: Path) -> None:
     for family in ("source", "model", "machine"):
-        with pytest.raises(Unsupported, match="delta is opaque: it has memory"):
+        with pytest.raises(Unsupported, match="delta is opaque"):
             list(Operations.create(families=[family]).evaluate(Delta.create(), SMALL, context(tmp_path)))
 
 
@@ -100,7 +100,7 @@ def test_frames_are_spread_over_the_sequence(tmp_path: Path) -> None:
 
 def test_families_have_one_spelling() -> None:
     assert Operations.create(families=["model", "source"]).params == Operations.create().params
-    with pytest.raises(ValidationError, match="at least one of source, model, machine"):
+    with pytest.raises(ValidationError, match="source, model, machine"):
         Operations.create(families=[])
 
 
@@ -195,7 +195,7 @@ def test_a_machine_without_valgrind_gives_a_reason_and_no_number(
     found = values(Jpeg.create(), tmp_path, SMALL, families=["model", "machine"])
     assert math.isnan(found["machine_total"]["encode"])
     assert found["model_total"]["encode"] > 0
-    with pytest.raises(Unsupported, match="valgrind is not installed: apt-get install valgrind"):
+    with pytest.raises(Unsupported, match="install valgrind"):
         values(Jpeg.create(), tmp_path, SMALL, families=["machine"])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 from pathlib import Path
 
@@ -214,10 +215,10 @@ def test_a_pair_is_the_first_frame_far_enough_away() -> None:
     assert isinstance(pair, Pair)
     assert (pair.first, pair.second) == (2, 5)
     np.testing.assert_allclose(pair.second_from_first, np.linalg.inv(poses[5]) @ poses[2], atol=1e-12)
-    assert pair_of(FRAMES - 2, poses, CAMERA, 4.0, 0.06, 0.5) == "no later frame is 0.06 scene distances (0.24 m) away"
+    assert re.findall(r"[\d.]+", str(pair_of(FRAMES - 2, poses, CAMERA, 4.0, 0.06, 0.5))) == ["0.06", "0.24"]
     assert "shows only" in str(pair_of(0, poses, CAMERA, 4.0, 0.25, 0.99))
     poses[[3, 5]] = np.nan
-    assert pair_of(3, poses, CAMERA, 4.0, 0.06, 0.5) == "the frame has no true pose"
+    assert "no true pose" in str(pair_of(3, poses, CAMERA, 4.0, 0.06, 0.5))
     passed_over = pair_of(2, poses, CAMERA, 4.0, 0.06, 0.5)
     assert isinstance(passed_over, Pair)
     assert passed_over.second == 6
@@ -292,14 +293,14 @@ def test_equal_frames_give_equal_values_whatever_was_drawn_before(detector: str,
     assert runs[0] == runs[1]
 
 
-def test_what_a_sequence_lacks_is_said(tmp_path: Path) -> None:
+def test_a_sequence_without_truth_camera_or_motion_is_unsupported(tmp_path: Path) -> None:
     evaluator = RelativePose.create()
     for lacking, words in ((sequence(truth=False), "no ground truth"), (sequence(camera=None), "no camera")):
         with pytest.raises(Unsupported, match=words):
             list(evaluator.evaluate(CodedInMemory(lacking), context(tmp_path)))
     resting = sequence()
     resting.ground_truth = Trajectory(resting.timestamps_s, np.tile(np.eye(4), (FRAMES, 1, 1)))
-    with pytest.raises(Unsupported, match="the camera must move"):
+    with pytest.raises(Unsupported, match="must move"):
         list(evaluator.evaluate(CodedInMemory(resting), context(tmp_path)))
-    with pytest.raises(Unsupported, match="no two frames of memory are far enough apart"):
+    with pytest.raises(Unsupported, match="see baselines"):
         list(RelativePose.create(baselines=[1.5]).evaluate(CodedInMemory(sequence()), context(tmp_path)))

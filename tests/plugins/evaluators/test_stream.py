@@ -74,7 +74,7 @@ def test_delay_is_how_many_frames_the_encoder_held_back(hold: int, first: int, t
     assert (found["first_packet_frames"], found["first_packet_ms"]) == (first, 100.0 * first)
 
 
-def test_who_joins_waits_for_the_next_start(tmp_path: Path) -> None:
+def test_a_decoder_that_joins_waits_for_the_next_keyframe(tmp_path: Path) -> None:
     frames, gop = 24, 8
     joins = join_places(frames, 4)
     waits = [-place % gop for place in joins]
@@ -84,13 +84,13 @@ def test_who_joins_waits_for_the_next_start(tmp_path: Path) -> None:
         assert found["joining_worst_frames"] == max(waits)
 
 
-def test_who_joins_where_nothing_starts_any_more_is_never_whole(tmp_path: Path) -> None:
+def test_a_decoder_that_joins_after_the_last_keyframe_is_never_whole(tmp_path: Path) -> None:
     found = list(Stream.create().evaluate(coded(Delta.create(gop=100), moving(12)), context(tmp_path)))
     joining = {m.metric: (m.value, m.reason) for m in found if m.metric.startswith("joining")}
     assert len(joining) == 2
     for value, reason in joining.values():
         assert math.isnan(value)
-        assert reason == "5 of 5 joins were not whole when the sequence ended"
+        assert "5 of 5" in str(reason)
 
 
 def test_single_pictures_are_whole_at_once(tmp_path: Path) -> None:

@@ -99,12 +99,12 @@ def test_what_a_codec_searches_for_is_timed_apart_from_the_encoding(tmp_path: Pa
     assert all(m.value == 0 and m.reason is None for m in measured if m.metric == "prepare_cpu_ms")
 
 
-def test_a_codec_that_searches_for_nothing_has_no_time_of_it(tmp_path: Path) -> None:
+def test_a_codec_without_a_search_has_no_preparation_time(tmp_path: Path) -> None:
     sequence = MemorySequence([np.zeros((100, 200), np.uint8)])
     measured = list(Timing.create(warmup=1).evaluate(Slow(), sequence, context(tmp_path)))
     preparing = [m for m in measured if m.metric.startswith("prepare_")]
     assert {m.metric for m in preparing} == {"prepare_wall_ms", "prepare_cpu_ms"}
-    assert all(np.isnan(m.value) and "slow searches for nothing" in str(m.reason) for m in preparing)
+    assert all(np.isnan(m.value) and "slow needs no search" in str(m.reason) for m in preparing)
 
 
 def test_a_fast_call_is_repeated_until_the_clock_can_tell() -> None:

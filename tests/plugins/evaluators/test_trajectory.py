@@ -143,14 +143,14 @@ def test_nothing_tracked_is_a_result(tmp_path: Path) -> None:
         assert found[name].value == pytest.approx(rms(spread_m))
     assert (found["held_tracked_m"].value, found["held_lost_m"].value) == (0.0, 0.0)
     assert found["initialisation_frames"].value == COUNT
-    assert found["tracked_since_map_fraction"].reason == "there never was a map"
+    assert "no map" in str(found["tracked_since_map_fraction"].reason)
     whole = measured(Told(moved(truth)), folder(tmp_path, "whole"), truth)
     compared = verdicts(outcome(found, tmp_path), [outcome(whole, tmp_path / "whole")])
     assert (compared["success"].value, compared["starts_in_time"].value) == (0.0, 0.0)
     assert math.isnan(compared["ate_to_raw_m"].value)
 
 
-def test_where_raw_frames_give_no_map_nothing_is_said_of_codecs(tmp_path: Path) -> None:
+def test_codecs_are_not_judged_if_raw_frames_give_no_map(tmp_path: Path) -> None:
     truth = helix(COUNT)
     nothing = outcome(
         measured(Told(part(truth, slice(0, 0))), folder(tmp_path, "nothing"), truth), tmp_path / "nothing"
@@ -158,12 +158,9 @@ def test_where_raw_frames_give_no_map_nothing_is_said_of_codecs(tmp_path: Path) 
     whole = outcome(measured(Told(moved(truth)), folder(tmp_path, "whole"), truth), tmp_path / "whole")
     for run in (nothing, whole):
         compared = verdicts(run, [nothing])
-        assert math.isnan(compared["success"].value)
-        assert "raw frames give no map" in str(compared["success"].reason)
-        assert "raw frames give no map" in str(compared["starts_in_time"].reason)
-        for name in HELD:
+        for name in ("success", "starts_in_time", *HELD):
             assert math.isnan(compared[name].value)
-            assert "raw frames give no map" in str(compared[name].reason)
+            assert "no map" in str(compared[name].reason)
     assert "held_ate_m" not in verdicts(nothing, [nothing, whole])
 
 
@@ -179,7 +176,7 @@ def started(tmp_path: Path, first: int, last: int = 200, sigma_m: float = 0.01) 
     return Outcome(0, tuple(found), tmp_path / name)
 
 
-def test_one_more_frame_before_the_map_fails_nobody(tmp_path: Path) -> None:
+def test_one_more_frame_before_the_map_is_no_failure(tmp_path: Path) -> None:
     """Raw frames need 20 of 200 frames for a map, exactly a tenth, and a codec of less error one more."""
     raw, coded_run = started(tmp_path, 20), started(tmp_path, 21, sigma_m=0.009)
     assert (raw.value("tracked_fraction"), coded_run.value("tracked_fraction")) == (0.9, 0.895)
@@ -250,8 +247,8 @@ def test_no_run_is_judged_from_a_start_where_raw_s_error_is_as_large_as_the_way(
     assert [each[0].value for each in found.values()] == [1.0, 1.0, 0.0]
     for verdict in (each[1] for each in found.values()):
         assert math.isnan(verdict.value)
-        assert f"2 x raw = {2e3 * raw_m:.3g} mm is above {1e3 * way_m:.3g} mm, the spread of the" in str(verdict.reason)
-        assert str(verdict.reason).endswith("give ate_limit_m below it")
+        for fact in (f"= {2e3 * raw_m:.3g} mm", f"above {1e3 * way_m:.3g} mm", "set ate_limit_m"):
+            assert fact in str(verdict.reason)
     limited = [verdicts(run[1], runs["raw"], **offsets, ate_limit_m=0.5 * way_m)["success"] for run in runs.values()]
     assert [verdict.value for verdict in limited] == [0.0, 1.0, 0.0]
 
@@ -269,7 +266,7 @@ def test_a_limit_above_the_spread_of_the_way_counts_as_the_spread(tmp_path: Path
     noise, verdict = found["noise"]
     assert noise.value("path_spread_m") < noise.value("ate_rmse_m") < 0.5
     assert (verdict.value, found["good"][1].value) == (0.0, 1.0)
-    cap = f"spread of the true path (ate_limit_m is more: 0.5 m) = {noise.value('path_spread_m'):.3g} m"
+    cap = f"0.5 m) = {noise.value('path_spread_m'):.3g} m"
     assert cap in str(verdict.reason)
     assert cap in str(found["good"][1].reason)
     assert "spread" not in str(verdicts(noise, [], ate_limit_m=0.2)["success"].reason)
@@ -291,7 +288,7 @@ def test_without_ground_truth_the_rest_is_there(tmp_path: Path) -> None:
     assert raw["tracked_fraction"].value == 1.0
     for name in ("ate_rmse_m", *HELD, "path_spread_m"):
         assert math.isnan(raw[name].value)
-        assert raw[name].reason == "the sequence has no ground truth"
+        assert "no ground truth" in str(raw[name].reason)
     other = measured(Told(moved(noisy(path, 0.02), scale=5.0)), folder(tmp_path, "other"))
     evaluator = TrajectoryEvaluator.create(backend="told")
     compared = {
@@ -333,15 +330,15 @@ def test_without_truth_a_path_succeeds_that_is_about_as_near_as_raw_s_own(tmp_pa
     assert verdicts(far, raw, ate_to_raw=20.0)["success"].value == 1.0
 
 
-def test_raw_s_paths_that_disagree_and_a_single_one_judge_nobody(tmp_path: Path) -> None:
+def test_raw_paths_that_disagree_and_a_single_one_give_no_verdict(tmp_path: Path) -> None:
     wild = runs_of_raw(tmp_path, 0.05, 0.05, 0.05)
     apart = verdicts(wild[0], wild)["raw_path_error_percent"].value
     strict = verdicts(wild[0], wild, raw_agrees_percent=apart / 2)["success"]
-    assert "too much to judge by" in str(strict.reason)
+    assert "raw_agrees_percent" in str(strict.reason)
     assert verdicts(wild[0], wild, raw_agrees_percent=apart * 2)["success"].value == 1.0
     single = verdicts(off_path(tmp_path, 0.02), wild[:1])
-    assert "give start_offsets" in str(single["success"].reason)
-    assert "give several start_offsets" in str(single["raw_path_error_percent"].reason)
+    assert "set start_offsets" in str(single["success"].reason)
+    assert "set several start_offsets" in str(single["raw_path_error_percent"].reason)
 
 
 def test_comparison_with_raw_pairs_repeats(tmp_path: Path) -> None:
@@ -437,18 +434,18 @@ def test_wrong_parameters_are_refused(params: dict[str, Any]) -> None:
 
 
 def test_what_cannot_run_is_unsupported(tmp_path: Path) -> None:
-    with pytest.raises(Unsupported, match="leaves no frame of 100"):
+    with pytest.raises(Unsupported, match="start offset 100"):
         measured(Told(helix(COUNT)), tmp_path, start_offsets=[100])
     backend = Told(helix(COUNT))
     backend.architectures = frozenset({"cta"})  # type: ignore[misc]
-    with pytest.raises(Unsupported, match="cannot run architecture atc; it runs cta"):
+    with pytest.raises(Unsupported, match="atc; it runs cta"):
         measured(backend, tmp_path, architecture="atc")
 
 
 def test_impossible_answers_are_refused(tmp_path: Path) -> None:
     broken = helix(COUNT)
     broken.world_from_camera[3, 0, 3] = np.nan
-    with pytest.raises(SlamError, match="trajectory has poses that are not finite"):
+    with pytest.raises(SlamError, match=r"trajectory .* not finite"):
         measured(Told(broken), tmp_path)
 
 

@@ -80,13 +80,13 @@ def test_the_timeline_says_of_each_frame_where_it_is_and_how_far_off(folder: Pat
     assert drawn(outcome(folder)).timeline is None
 
 
-def test_a_failure_is_said_and_an_unknown_is_no_failure(folder: Path) -> None:
+def test_an_unknown_result_is_no_failure(folder: Path) -> None:
     failed = drawn(outcome(folder, ate_rmse_m=1.0, tracked_fraction=0.5, success=0.0))
     assert failed.holds is False
     assert failed.caption.endswith("fails")
     unknown = drawn(outcome(folder, tracked_fraction=0.5))
     assert unknown.holds is None
-    assert unknown.caption == "no error known, 50 % tracked"
+    assert unknown.caption == "error unknown, 50 % tracked"
 
 
 def test_a_frame_is_on_the_lane_of_what_slam_made_of_it(folder: Path) -> None:

@@ -97,7 +97,7 @@ def test_where_nothing_comes_the_error_is_the_spread_of_the_path(tmp_path: Path)
     assert found["idle_error_m"].value == found["live_position_error_m"].value
     assert found["fresh_pose_fraction"].value == 0.0
     assert found["held_ate_m"].value == pytest.approx(spread)
-    assert found["first_pose_s"].reason == "no pose was ever known"
+    assert "no pose" in str(found["first_pose_s"].reason)
 
 
 def test_slam_sees_what_is_delivered_and_shares_are_of_all_frames(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_what_is_drawn_over_a_link_is_the_live_error(tmp_path: Path) -> None:
 def test_without_ground_truth_there_is_no_live_error(tmp_path: Path) -> None:
     found = measured(Told(moved(helix(COUNT))), tmp_path, link="ideal")
     for metric in ("live_position_error_m", "idle_error_m"):
-        assert found[metric].reason == "the sequence has no ground truth"
+        assert "no ground truth" in str(found[metric].reason)
     assert found["fresh_pose_fraction"].value == 1.0
 
 
@@ -199,13 +199,13 @@ def test_a_matrix_without_a_link_has_the_identities_that_it_had() -> None:
 
 
 @pytest.mark.parametrize(
-    ("params", "words"),
+    ("params", "name"),
     [
-        ({"slam_ms": 5}, "slam_ms is about a link"),
-        ({"mtu": 500}, "mtu is about a link"),
-        ({"link": "ideal", "architecture": "atc"}, "atc over a link is not simulated"),
+        ({"slam_ms": 5}, "slam_ms"),
+        ({"mtu": 500}, "mtu"),
+        ({"link": "ideal", "architecture": "atc"}, "architecture atc"),
     ],
 )
-def test_what_has_no_meaning_is_refused(params: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValidationError, match=words):
+def test_parameters_without_effect_are_refused(params: dict[str, Any], name: str) -> None:
+    with pytest.raises(ValidationError, match=name):
         TrajectoryEvaluator.create(**params)

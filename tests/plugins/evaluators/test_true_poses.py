@@ -26,10 +26,10 @@ def test_frames_get_the_pose_nearest_in_time_and_others_none() -> None:
 
 
 def test_a_sequence_without_truth_is_not_supported() -> None:
-    with pytest.raises(Unsupported, match="memory has no ground truth"):
+    with pytest.raises(Unsupported, match="no ground truth"):
         true_poses(sequence(None), 0.02)
     late = Trajectory(helix(20).timestamps_s + 100.0, helix(20).world_from_camera)
-    with pytest.raises(Unsupported, match=r"no frame of memory has a true pose within association_s = 0.02 s"):
+    with pytest.raises(Unsupported, match=r"memory .* association_s = 0\.02 s"):
         true_poses(sequence(late), 0.02)
 
 

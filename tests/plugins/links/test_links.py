@@ -134,7 +134,7 @@ def test_a_trace_begins_where_chance_says_or_where_it_is_told(tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("1\ntwo\n", ":2: got 'two'"), ("5\n4\n", ":2: 4 comes after 5"), ("", "later than 0"), ("0\n", "later than 0")],
+    [("1\ntwo\n", ":2: got 'two'"), ("5\n4\n", ":2: 4 comes after 5"), ("", "above 0"), ("0\n", "above 0")],
 )
 def test_what_is_no_trace_is_named_with_its_line(text: str, words: str) -> None:
     with pytest.raises(Unsupported, match=words):

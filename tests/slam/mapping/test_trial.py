@@ -65,8 +65,7 @@ def test_a_map_that_explains_what_follows_stays(rng: np.random.Generator) -> Non
 def test_a_map_is_dropped_where_a_rotation_explains_what_follows(rng: np.random.Generator) -> None:
     scene = Scene(rng)
     objection = trial(scene).rejection_reason(scene.frame(still=True))
-    said = r"the map leaves (\d+) % of what a rotation leaves of the matches with its first frame"
-    assert (share := re.fullmatch(said, objection))
+    assert (share := re.match(r"the map leaves (\d+) %", objection))
     assert int(share[1]) > 100 * thresholds.TRIAL_MISFIT
 
 

@@ -57,15 +57,16 @@ def _names(family: Family) -> tuple[str, ...]:
 
 def _sort_families(families: tuple[Family, ...]) -> tuple[Family, ...]:
     if not families:
-        raise ValueError(f"at least one of {', '.join(_FAMILIES)}")
+        raise ValueError(f"give at least one of {', '.join(_FAMILIES)}")
     return tuple(family for family in _FAMILIES if family in families)
 
 
 class OperationsParams(Params):
-    """`families`: which counts to make. `frames`: how many frames, spread evenly over the sequence.
+    """Set which operations are counted, and on how many frames.
 
-    For the model, `planes`: one plane whatever the image, as the paper counts, or all that are coded;
-    `nonzero_share` of JPEG's coefficients: the paper's 0.2, or measured on the frame.
+    families: the counts to make. frames: how many frames, spread evenly over the sequence.
+    planes: for the model, `paper` counts one plane of any image, as the paper does, and `all` every coded plane.
+    nonzero_share: for the model of JPEG, the share of nonzero coefficients: the paper's 0.2, or measured on the frame.
     """
 
     families: Annotated[tuple[Family, ...], AfterValidator(_sort_families)] = ("source", "model")
@@ -95,10 +96,11 @@ class Operations(CodecEvaluator[OperationsParams]):
     views = (
         View(
             "bars",
-            "Operations a frame, by stage",
+            "Operations per frame, by stage",
             tuple(f"{family}_total" for family in _FAMILIES),
-            "Counted in the kernels (source), by the paper's closed formulas (model), or as executed instructions "
-            "(machine); they are never added. Codecs in foreign libraries have no source counts, which is not zero.",
+            "Operations are counted in the kernels (source), by the paper's formulas (model) or as executed "
+            "instructions (machine); the three are never added. Source counts of codecs in foreign libraries are "
+            "missing, not zero.",
         ),
     )
 
@@ -108,7 +110,7 @@ class Operations(CodecEvaluator[OperationsParams]):
 
     def evaluate(self, codec: AnyCodec[Any], sequence: FrameSequence, context: Context) -> Iterator[Measurement]:
         if not codec.stateless:
-            raise Unsupported(f"{codec.name} is opaque: it has memory, and what a frame takes depends on those before")
+            raise Unsupported(f"{codec.name} is opaque: it has memory, so the cost of a frame depends on earlier ones")
         families = self._available(codec)
         for index in evenly_spread(len(sequence), self.params.frames):
             image = sequence.read(index).image

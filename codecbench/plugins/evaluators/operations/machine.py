@@ -40,7 +40,7 @@ _CALLGRIND = (
 def reason_unavailable() -> str | None:
     """Why instructions cannot be counted on this machine, and what to install; None if they can."""
     if platform.machine() not in ("x86_64", "AMD64"):
-        return f"machine counts need an x86-64 processor, this is {platform.machine()}"
+        return f"machine counts need an x86-64 processor; this is {platform.machine()}"
     if shutil.which("valgrind") is None:
         return "valgrind is not installed: apt-get install valgrind"
     modules = [name for name in ("iced_x86", "elftools") if importlib.util.find_spec(name) is None]
@@ -80,7 +80,7 @@ def _count_profile(profile: Path, kernels: list[tuple[int, bytes]]) -> Operation
         total, unknown = total + counts, unknown + lost
         everything += addresses.total()
     if unknown > _MAX_UNKNOWN_SHARE * everything:
-        raise RuntimeError(f"{unknown} of {everything} executed instructions lie in no known code")
+        raise RuntimeError(f"{unknown} of {everything} executed instructions are in no known code")
     return total
 
 

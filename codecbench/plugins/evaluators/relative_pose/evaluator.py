@@ -30,14 +30,14 @@ Share = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
 class RelativePoseParams(Params):
-    """Settings of `relative_pose`.
+    """Set the pairs of frames, and how their keypoints are detected and matched.
 
-    architecture: `features` refuses codecs of pictures; else motion is found from what a codec sends, and features that
-    come are taken as they are. detector: `orb` or `sift`. keypoints: kept in a frame. ratio: of the best descriptor
-    distance to the second best, up to which a match counts. inlier_px: MAGSAC's threshold, and the distance from the
-    true epipolar lines up to which a match is right. baselines: translations between the frames of a pair, in distances
-    of the scene; frames take them in turn. min_overlap: share of a frame that the other must show. association_s: how
-    far apart in time a frame and its true pose may be.
+    architecture: `features` refuses image codecs; otherwise motion is estimated from what a codec sends, and received
+    features are used unchanged. detector: `orb` or `sift`. keypoints: most in a frame. ratio: largest ratio of the best
+    descriptor distance to the second best in a match. inlier_px: MAGSAC's threshold, and the largest distance of a
+    correct match from its true epipolar lines, in pixels. baselines: translations between the frames of a pair, in
+    units of the scene distance; frames use them in turn. min_overlap: least share of a frame that the other
+    shows. association_s: largest time between a frame and its true pose, in seconds.
     """
 
     architecture: Architecture = "cta"
@@ -80,8 +80,8 @@ class RelativePose(SequenceEvaluator[RelativePoseParams]):
         _task("pose_auc_20deg", "1", "higher", "max(0, 1 - pose_error_deg / 20)",
               "pose AUC to 20°"),
         _task(
-            "pose_inliers", "1", "higher", "matches that obey the motion found, else 0",
-            "matches behind the pose",
+            "pose_inliers", "1", "higher", "matches consistent with the estimated motion, else 0",
+            "pose inliers",
         ),
         Metric(
             "correct_matches", "1", "higher",

@@ -72,7 +72,7 @@ class Matcher:
     def convert(self, features: Features) -> KeypointSet:
         """The keypoints of features that a codec sent. Raises Unsupported if the detector is not ORB."""
         if not self._binary:
-            raise Unsupported("binary features are received; leave `detector: sift` out, or take detector orb")
+            raise Unsupported("detector sift cannot match the binary features that the codec sends; use detector orb")
         return self._undistort(features.pixels, features.descriptors) if len(features) else NO_KEYPOINTS
 
     def _undistort(self, pixels: NDArray[np.float64], descriptors: NDArray[Any]) -> KeypointSet:

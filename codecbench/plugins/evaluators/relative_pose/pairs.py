@@ -59,8 +59,8 @@ def scene_distance_m(sequence: FrameSequence, poses: Poses, matcher: Matcher) ->
     count = len(depths_m)
     if count < DEPTH_MIN_POINTS:
         raise Unsupported(
-            f"the distance of the scene in {sequence.name} cannot be told: {count} points have parallax under the "
-            f"true motion, {DEPTH_MIN_POINTS} are needed; the camera must move, and its truth must fit its frames"
+            f"the scene distance of {sequence.name} is unknown: {count} points have parallax under the true motion, "
+            f"{DEPTH_MIN_POINTS} are needed; the camera must move, and the ground truth must fit the frames"
         )
     return float(np.median(depths_m))
 

@@ -94,7 +94,7 @@ def align(pairs: Pairs, whole_turn: bool = False) -> Similarity:
     except GeometryException as error:
         estimated, true = pairs.estimate.positions_world, pairs.reference.positions_world
         if whole_turn or min(np.ptp(estimated, axis=0).max(), np.ptp(true, axis=0).max()) == 0.0:
-            raise Undefined("the tracked positions lie in one point or on one line: no similarity is best") from error
+            raise Undefined("the tracked positions are on one line or equal; the similarity is undetermined") from error
         return align_any_turn(estimated, true)
     return Similarity(float(scale), rotation, translation)
 

@@ -67,7 +67,7 @@ def first_frame_rmse(pairs: Pairs) -> float:
     true_norms, estimated_norms = np.linalg.norm(true, axis=1), np.linalg.norm(estimated, axis=1)
     moved = estimated_norms > 0.0
     if not moved.any():
-        raise Undefined("the estimate never left its first position: it has no scale")
+        raise Undefined("the estimate never leaves its first position, so it has no scale")
     scale = np.median(true_norms[moved] / estimated_norms[moved])
     return rms(np.linalg.norm(scale * estimated - true, axis=1))
 
@@ -111,7 +111,7 @@ def part_scales(pairs: Pairs, parts: tuple[slice, ...]) -> list[float]:
     true = [spread(pairs.reference.positions_world[part]) for part in parts]
     estimated = [spread(pairs.estimate.positions_world[part]) for part in parts]
     if min(*true, *estimated) == 0.0:
-        raise Undefined("the camera does not move in a part of the way")
+        raise Undefined("the camera does not move in a part of the path")
     return [float(np.log(of_truth / of_estimate)) for of_truth, of_estimate in zip(true, estimated, strict=True)]
 
 

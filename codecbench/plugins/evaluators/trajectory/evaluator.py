@@ -121,7 +121,7 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
         same = next((raw for raw in baseline if raw.repeat == outcome.repeat), None)
         if same is None:
             reason = f"the raw codec has no finished repeat {outcome.repeat} on this sequence"
-            reason = "over a link nothing is compared with the raw codec" if over_link else reason
+            reason = "runs over a link are not compared with the raw codec" if over_link else reason
             for metric in ("starts_in_time", pseudo_ground_truth.METRIC, "ate_to_raw_m", "ate_minus_raw_m"):
                 yield Measurement(metric, math.nan, reason=reason)
             return
@@ -139,9 +139,9 @@ class TrajectoryEvaluator(SequenceEvaluator[TrajectoryParams]):
 def _check_run(run: SlamRun, frames: int, backend: str) -> None:
     """Raise SlamError if a backend's run cannot be of these frames."""
     if not isinstance(run, SlamRun):
-        raise SlamError(f"slam backend {backend} returned {type(run).__name__}; it returns a SlamRun")
+        raise SlamError(f"slam backend {backend} returned {type(run).__name__}, not a SlamRun")
     if len(run.frames) != frames:
-        raise SlamError(f"slam backend {backend} answered for {len(run.frames)} frames of {frames}")
+        raise SlamError(f"slam backend {backend} returned {len(run.frames)} states for {frames} frames")
     if run.points_world.ndim != 2 or run.points_world.shape[1] != 3 or not np.isfinite(run.points_world).all():
         raise SlamError(f"slam backend {backend}: points_world has shape {run.points_world.shape} or is not finite")
     for name, trajectory in (("trajectory", run.trajectory), ("trajectory_before_loops", run.trajectory_before_loops)):
@@ -169,7 +169,7 @@ def _live_measurements(
     yield Measurement("delivered_fraction", feed.seen / len(stamps_s))
     known_s = stamps_s[~np.isnan(positions[:, 0])]
     first_s = known_s[0] - stamps_s[0] if len(known_s) else None
-    yield _or_missing("first_pose_s", first_s, "no pose was ever known")
+    yield _or_missing("first_pose_s", first_s, "SLAM gave no pose")
     reason = "the sequence has no ground truth" if truth is None else "no frame has ground truth"
     errors_m = np.full(1, np.nan) if truth is None else live_errors(positions, stamps_s, truth, tolerance_s)
     is_known = ~np.isnan(errors_m)
@@ -196,7 +196,7 @@ def _behaviour_measurements(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> 
     yield Measurement("maps", float(run.maps))
     yield Measurement("keyframes", float(len(run.keyframe_indices)))
     points = None if len(stamps_s) and not len(run.points_world) else len(run.points_world)
-    yield _or_missing("map_points", points, "the backend does not give its points")
+    yield _or_missing("map_points", points, "the backend reports no map points")
     closed = [loop.frame for loop in run.loops if not loop.merged_maps]
     yield Measurement("maps_merged", float(len(run.loops) - len(closed)))
     yield Measurement("loops_closed", float(len(closed)))
@@ -204,7 +204,7 @@ def _behaviour_measurements(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> 
     inliers = [frame.inliers for frame in run.frames if frame.state == "tracked"]
     yield _or_missing("mean_inliers", np.mean(inliers) if inliers else None, "no frame was tracked")
     elapsed = [frame.elapsed_ms for frame in run.frames if math.isfinite(frame.elapsed_ms)]
-    yield _or_missing("slam_ms_per_frame", np.mean(elapsed) if elapsed else None, "the backend does not time itself")
+    yield _or_missing("slam_ms_per_frame", np.mean(elapsed) if elapsed else None, "the backend reports no times")
 
 
 def _measurements_since_map(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> Iterator[Measurement]:
@@ -213,7 +213,7 @@ def _measurements_since_map(run: SlamRun, all_stamps_s: NDArray[np.float64]) -> 
     before = np.count_nonzero(all_stamps_s < first_s - 1e-6)
     yield Measurement("initialisation_frames", float(before))
     if before == len(all_stamps_s):
-        yield Measurement("tracked_since_map_fraction", math.nan, reason="there never was a map")
+        yield Measurement("tracked_since_map_fraction", math.nan, reason="SLAM made no map")
         return
     tracked = np.count_nonzero(run.trajectory.timestamps_s >= first_s - 1e-6)
     yield Measurement("tracked_since_map_fraction", tracked / (len(all_stamps_s) - before))

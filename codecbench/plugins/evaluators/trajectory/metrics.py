@@ -72,11 +72,11 @@ LIVE: Final = (
     ),
     Metric(
         "idle_error_m", "m", "neither", "live_position_error_m of the constant mean true position",
-        label="error of a reader that gets nothing", scale="log", quantity="idle",
+        label="error without any pose", scale="log", quantity="idle",
     ),
     Metric(
         "fresh_pose_fraction", "1", "higher", "share of captures with a known pose at most 0.5 s old",
-        label="moments with a fresh pose", quantity="fresh",
+        label="captures with a fresh pose", quantity="fresh",
     ),
     Metric(
         "first_pose_s", "s", "lower", "from first capture to first known pose",
@@ -99,7 +99,7 @@ BEHAVIOUR: Final = (
         headline=True, label="tracked share", column_header="tracked",
     ),
     Metric(
-        "initialisation_frames", "frames", "lower", "frames before the first tracked one, in whichever map",
+        "initialisation_frames", "frames", "lower", "frames before the first tracked one, in any map",
         ("median", "max"),
         label="frames before the first map",
     ),
@@ -109,16 +109,16 @@ BEHAVIOUR: Final = (
     ),
     Metric("first_tracked_frame", "frames", "lower", "index of the first frame with a final pose", _MIDDLE),
     Metric("times_lost", "1", "lower", "tracked frames followed by an untracked one", ("median", "max")),
-    Metric("maps", "1", "lower", "maps kept, without merged ones", ("median", "max")),
+    Metric("maps", "1", "lower", "maps at the end, without merged ones", ("median", "max")),
     Metric("maps_merged", "1", "neither", "maps merged into another", ("median", "min")),
     Metric("keyframes", "1", "neither", "keyframes in the final map", _MIDDLE),
     Metric("map_points", "1", "neither", "points in the final map", _MIDDLE),
     Metric("loops_closed", "1", "higher", "loops closed, without merged maps", ("median", "min")),
     Metric("loop_frame", "frames", "lower", "index of the first loop-closing frame", _MIDDLE),
-    Metric("mean_inliers", "1", "higher", "mean map points behind a tracked pose", _MIDDLE),
+    Metric("mean_inliers", "1", "higher", "mean map points that support a tracked pose", _MIDDLE),
     Metric(
         "slam_ms_per_frame", "ms", "lower",
-        "mean backend time per frame, beside other work",
+        "mean backend time per frame, while other work runs",
         _MIDDLE, False,
         role="time", label="SLAM time", scale="log", quantity="reading",
     ),
@@ -141,14 +141,14 @@ COMPARED: Final = (
     ),
     Metric(
         "starts_in_time", "1", "higher",
-        "1 if the first map comes at most delay_frames after raw's from the same start, else 0",
+        "1 if the first map comes at most delay_frames after raw's from the same start offset, else 0",
         role="success", headline=True, label="map starts in time", column_header="starts",
     ),
     Metric(
         "raw_path_error_percent", "%", "lower",
-        "without ground truth: RMS distance from raw's path over its length, median over other starts",
+        "without ground truth: RMS distance from raw's path over its length, median over other start offsets",
         _SPREAD, role="task", headline=True, label="distance from raw's path", column_header="off raw %", scale="log",
-        caveat="there is no ground truth; the paths that SLAM finds on raw pictures stand in for it",
+        caveat="there is no ground truth; the paths that SLAM estimates from raw frames replace it",
     ),
     Metric(
         "ate_to_raw_m", "m", "lower", "RMS distance from raw's trajectory of the same repeat", _MIDDLE,

@@ -12,20 +12,20 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class TrajectoryParams(ReaderSettings):
-    """Settings of `trajectory`.
+    """Set the SLAM backend, its input and repeats, and the limits of a success.
 
-    backend, backend_params: the SLAM backend that runs. architecture: `cta` (compress then analyze: all of SLAM sees
-    what comes of the codec: decoded frames, or features of a codec of features), `atc` (analyze then compress, as the
-    paper has it: tracking sees raw frames; mapping and loop closing see decoded keyframes) or `features` (as `cta`, and
-    codecs of pictures are refused). start_offsets, seeds: one repeat for each pair, with so many frames left out at
-    the start. association_s: how far apart in time a frame and its ground truth may be. rpe_interval_s: over which
-    relative errors are taken. link and all about it: see ReaderSettings; SLAM then gets what is delivered, and slam_ms
-    is what it takes for a frame.
+    backend, backend_params: the SLAM backend and its parameters. architecture: `cta` (compress then analyze: all of
+    SLAM sees decoded frames, or the features that a feature codec sends), `atc` (analyze then compress, as in the
+    paper: tracking sees raw frames; mapping and loop closing see decoded keyframes) or `features` (as `cta`, but
+    refuses image codecs). start_offsets, seeds: one repeat for each pair; an offset is how many frames are omitted at
+    the start. association_s: largest time between a frame and its ground truth, in seconds. rpe_interval_s: interval of
+    relative errors, in seconds. The parameters about a link are those of ReaderSettings: SLAM gets delivered frames
+    only, and needs slam_ms for each.
 
-    What a success is can be changed without computing anything again. tracked_to_raw: the least share of the raw runs'
-    tracked share. ate_to_raw: the most times their error. ate_limit_m: an error in place of that multiple.
-    raw_agrees_percent: without ground truth raw's paths stand in for it, if they are at most so far apart, in percent
-    of their length. delay_frames: how many frames later than the raw run's the first map may come.
+    Limits of a success; they can change without new runs. tracked_to_raw: least tracked share, as a multiple of raw's.
+    ate_to_raw: largest ATE, as a multiple of raw's. ate_limit_m: largest ATE in metres, instead of that multiple.
+    raw_agrees_percent: without ground truth, raw's paths replace it if they differ by at most this percentage of their
+    length. delay_frames: most frames by which the first map may come later than in the raw run.
     """
 
     backend: str = "orb"
@@ -45,13 +45,13 @@ class TrajectoryParams(ReaderSettings):
     @classmethod
     def _distinct(cls, values: tuple[int, ...]) -> tuple[int, ...]:
         if len(set(values)) < len(values):
-            raise ValueError(f"{list(values)} names a value twice; every repeat is another run")
+            raise ValueError(f"{list(values)} has a value twice; each repeat must be a different run")
         return values
 
     @model_validator(mode="after")
     def _fits_a_link(self) -> Self:
         if self.link is not None and self.architecture == "atc":
-            raise ValueError("architecture atc over a link is not simulated; give cta")
+            raise ValueError("architecture atc over a link is not simulated; use cta")
         return self
 
     def repeat(self, number: int) -> tuple[int, int]:

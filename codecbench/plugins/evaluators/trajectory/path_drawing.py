@@ -17,9 +17,9 @@ from codecbench.plugins.evaluators.trajectory import files
 from codecbench.plugins.evaluators.trajectory.alignment import nearest_stamps
 
 NOTE: Final = (
-    "Seen from the direction in which the true path spreads most; the estimate is aligned to ground truth by a "
-    "similarity. Estimated is as tracked, optimised is after loops were closed. Over a link, the error of a frame is "
-    "of where the camera was thought to be when it was taken."
+    "The drawing plane is the one in which the true path spreads most. A similarity aligns the estimate with ground "
+    "truth. Estimated: as tracked; optimised: after loop closing. Over a link, the error of a frame is that of the "
+    "newest pose at its capture."
 )
 _STATES: Final[dict[str, tuple[str, Tone]]] = {
     "tracked": ("tracked", "good"),
@@ -113,7 +113,7 @@ def _distances(
 def _caption(outcome: Outcome) -> str:
     """Error and tracked share together, because the error alone would favor a tracker that gets lost."""
     error_m, tracked = outcome.value("ate_rmse_m"), outcome.value("tracked_fraction")
-    words = ["no error known" if math.isnan(error_m) else f"ATE {error_m:.3g} m", f"{100 * tracked:.0f} % tracked"]
+    words = ["error unknown" if math.isnan(error_m) else f"ATE {error_m:.3g} m", f"{100 * tracked:.0f} % tracked"]
     loops = outcome.value("loops_closed")
     if loops > 0:
         words.append(f"{loops:.0f} loop{'s' if loops > 1 else ''}")

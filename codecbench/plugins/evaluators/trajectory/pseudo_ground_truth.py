@@ -30,13 +30,13 @@ def has_truth(outcome: Outcome) -> bool:
 def raw_path_error(outcome: Outcome, baseline: list[Outcome]) -> Measurement:
     """The median distance of the run from raw's runs with other start offsets."""
     if has_truth(outcome):
-        return Measurement(METRIC, math.nan, reason="the sequence has ground truth, which judges better")
+        return Measurement(METRIC, math.nan, reason="the sequence has ground truth, which is used instead")
     others = [raw for raw in baseline if raw.repeat != outcome.repeat]
     if not others:
-        return Measurement(METRIC, math.nan, reason="raw has no run from another start; give several start_offsets")
+        return Measurement(METRIC, math.nan, reason="raw has no run from another start; set several start_offsets")
     errors = [error for raw in others if not math.isnan(error := _distance_percent(outcome, raw))]
     if not errors:
-        return Measurement(METRIC, math.nan, reason="too few frames are tracked both here and by a run of raw")
+        return Measurement(METRIC, math.nan, reason="too few frames are tracked both in this run and in a raw run")
     return Measurement(METRIC, float(np.median(errors)))
 
 

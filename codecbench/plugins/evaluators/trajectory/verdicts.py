@@ -16,7 +16,8 @@ THRESHOLDS: Final = ("tracked_to_raw", "ate_to_raw", "ate_limit_m", "raw_agrees_
 """Parameters that only verdicts read, so that no run depends on them."""
 _SMALL_M: Final = 0.1
 """Lengths below this are given in millimetres."""
-NO_MAP: Final = "raw frames give no map here either, so that nothing can be said of codecs"
+NO_MAP: Final = "raw frames give no map here, so codecs cannot be judged"
+_OUTDATED: Final = "a run of an older version has no {}; measure it again"
 
 
 def raw_makes_no_map(baseline: list[Outcome]) -> bool:
@@ -38,7 +39,7 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
     tracked = outcome.value("tracked_since_map_fraction")
     raw_tracked = _median(baseline, "tracked_since_map_fraction") if baseline else 1.0
     if math.isnan(tracked) or math.isnan(raw_tracked):
-        return _missing("success", "measured before frames since the first map were counted; measure it again")
+        return _missing("success", _OUTDATED.format("tracked_since_map_fraction"))
     least = params.tracked_to_raw * raw_tracked
     requirement = f"tracked at least {f'{params.tracked_to_raw:g} x raw = ' if baseline else ''}{100 * least:.3g} %"
     if tracked < least:
@@ -48,7 +49,7 @@ def success(outcome: Outcome, baseline: list[Outcome], params: TrajectoryParams)
     raw_m = _median(baseline, "ate_rmse_m")
     limit_m, spread_m = params.ate_limit_m or params.ate_to_raw * raw_m, outcome.value(SPREAD)
     if math.isnan(limit_m):
-        reason = "no finished run of the raw codec has an ATE to compare with; add codec raw or ate_limit_m"
+        reason = "no finished run of the raw codec has an ATE to compare with; add codec raw or set ate_limit_m"
         return _missing("success", reason)
     times = "" if params.ate_limit_m else f"{params.ate_to_raw:g} x raw = "
     if limit_m > spread_m:
@@ -67,14 +68,14 @@ def _no_reference(outcome: Outcome, baseline: list[Outcome], params: TrajectoryP
     if not pseudo_ground_truth.has_truth(outcome):
         return ""
     if math.isnan(spread_m):
-        before = "measured before the spread of the true path was; measure it again"
+        before = _OUTDATED.format(SPREAD)
         return next((str(entry.reason) for entry in outcome.measurements if entry.metric == SPREAD), before)
     if params.ate_limit_m or not limit_m > spread_m:
         return ""
     return (
-        f"raw's error is no reference: {params.ate_to_raw:g} x raw = {_length(limit_m)} is above "
-        f"{_length(spread_m)}, the spread of the true path, by which an estimate without any information errs; "
-        "give ate_limit_m below it"
+        f"raw's error is too large for a reference: {params.ate_to_raw:g} x raw = {_length(limit_m)} is above "
+        f"{_length(spread_m)}, the spread of the true path, which is the error of an estimate without information; "
+        "set ate_limit_m below it"
     )
 
 
@@ -84,10 +85,10 @@ def _success_without_truth(
     """Without ground truth: whether the path is about as near to raw's paths as these are to each other."""
     disagreement = pseudo_ground_truth.raw_disagreement_percent(baseline)
     if math.isnan(disagreement):
-        return _missing("success", "no ground truth, and not two runs of raw to stand in for it; give start_offsets")
+        return _missing("success", "no ground truth, and fewer than two raw runs to replace it; set start_offsets")
     if disagreement > params.raw_agrees_percent:
-        distance = f"{disagreement:.3g} % of their length"
-        reason = f"no ground truth, and raw's own runs are {distance} apart: too much to judge by"
+        limits = f"{disagreement:.3g} % of their length, over raw_agrees_percent = {params.raw_agrees_percent:g}"
+        reason = f"no ground truth, and the paths of raw differ by {limits}"
         return _missing("success", reason)
     error = pseudo_ground_truth.raw_path_error(outcome, baseline)
     if math.isnan(error.value):
@@ -101,7 +102,7 @@ def _judge(what: str, value: float, limit: float, unit: str, times: str, require
     bound = f"{times}{limit:.3g} {unit}"
     if value <= limit:
         return Measurement("success", 1.0, reason=f"{what} at most {bound}, {requirement}")
-    reason = f"{what} is not known" if math.isnan(value) else f"{what} {value:.3g} {unit}, over {bound}"
+    reason = f"{what} is unknown" if math.isnan(value) else f"{what} {value:.3g} {unit}, over {bound}"
     return Measurement("success", 0.0, reason=reason)
 
 
@@ -109,13 +110,13 @@ def starts_in_time(outcome: Outcome, same: Outcome, params: TrajectoryParams) ->
     """Whether the first map comes at most `delay_frames` later than in the raw codec's run from the same start."""
     frames, raw_frames = (run.value("initialisation_frames") for run in (outcome, same))
     if same.value("tracked_fraction") == 0.0:
-        return _missing("starts_in_time", "raw frames give no map from this start either")
+        return _missing("starts_in_time", "raw frames give no map from this start")
     if math.isnan(frames) or math.isnan(raw_frames):
-        return _missing("starts_in_time", "measured before frames up to the first map were counted; measure it again")
+        return _missing("starts_in_time", _OUTDATED.format("initialisation_frames"))
     if frames <= raw_frames + params.delay_frames:
         return Measurement("starts_in_time", 1.0)
-    late = f"the first map comes {frames - raw_frames:.0f} frames later than raw's, over {params.delay_frames}"
-    return Measurement("starts_in_time", 0.0, reason=late)
+    excess = f"{frames - raw_frames:.0f} frames later than raw's, over delay_frames = {params.delay_frames}"
+    return Measurement("starts_in_time", 0.0, reason=f"the first map comes {excess}")
 
 
 def _median(runs: list[Outcome], metric: str) -> float:
