@@ -410,5 +410,5 @@ def test_a_corpus_is_written_without_codecs_with_memory_which_are_named(tmp_path
     pytest.importorskip("av", reason="the extra `video` is not installed")
     done = verify("raw", "mjpeg", "--write-corpus", str(tmp_path / "corpus"))
     assert done.exit_code == 0, done.output
-    assert "a corpus holds single pictures, and this codec codes sequences" in done.output
+    assert "single images" in done.output
     assert {entry.codec for entry in read_manifest(tmp_path / "corpus")} == {"raw"}
