@@ -201,7 +201,7 @@ def test_the_tutorial_codec_passes_as_its_author_would_see(tmp_path: Path) -> No
         (("--settings", "quality=5"), "exactly one CODEC"),
         (("jpeg", "--settings", "quality=500"), "less than or equal to 100"),
         (("jpeg", "--only", "nothing"), "'nothing' is not one of"),
-        (("--write-corpus", "a", "--check-corpus", "b"), "two runs"),
+        (("--write-corpus", "a", "--check-corpus", "b"), "not both"),
     ],
 )
 def test_usage_errors_say_what_is_wrong(arguments: tuple[str, ...], said: str) -> None:
