@@ -46,7 +46,7 @@ OWN = [
 ]
 
 
-def test_the_summary_is_one_table_of_what_fits_and_says_the_rest(
+def test_the_summary_is_one_table_of_columns_that_fit_and_names_the_others(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Three digits in every row, no column that is the same in all, and which have no room."""
