@@ -163,8 +163,8 @@ def test_a_task_with_equal_results_for_all_settings_ranks_no_codec(place: Place,
 
 
 def test_a_setting_is_chosen_for_a_link(place: Place, run: str) -> None:
-    *_, answer = succeeded(place, "choose", run, "--link", "ideal", "--deadline", "10ms").splitlines()
-    assert "use jpeg2000 cr_percent=97" in answer
+    printed = succeeded(place, "choose", run, "--link", "ideal", "--deadline", "10ms")
+    assert "use jpeg2000 cr_percent=97" in printed
 
 
 def test_a_report_is_a_page(place: Place, run: str) -> None:
