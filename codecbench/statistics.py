@@ -1,4 +1,4 @@
-"""Statistics of codec comparisons: BD-rates that say when they mean nothing, paired differences, Pareto fronts."""
+"""Statistics of codec comparisons: BD-rates with validity checks, paired differences, Pareto fronts."""
 
 from codecbench.core.analysis.bjontegaard import BdRate, bd_rate
 from codecbench.core.analysis.evidence import PairedDifference, paired_difference

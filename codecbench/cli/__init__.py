@@ -18,32 +18,32 @@ COMPLETION_VARIABLE: Final = "_CODECBENCH_COMPLETE"
 """The environment variable by which a shell asks for completions, as click calls it."""
 
 COMMANDS = {
-    "try": ("codecbench.cli.try_:try_", "Try codecs on a recording of your own, and write a report."),
-    "init": ("codecbench.cli.try_:init", "Write a matrix to edit, to begin with or for a recording."),
+    "try": ("codecbench.cli.try_:try_", "Try codecs on your own recording, and write a report."),
+    "init": ("codecbench.cli.try_:init", "Write a matrix to edit: a first one, or one for a recording."),
     "examples": ("codecbench.cli.examples:examples", "List or print the example matrices."),
     "run": ("codecbench.cli.run:run", "Run a matrix: every codec setting on every sequence, evaluated."),
     "plan": ("codecbench.cli.plan:plan", "Show what a run would do, what is cached and what is unsupported."),
     "list": ("codecbench.cli.list:list_plugins", "List installed plugins."),
     "schema": ("codecbench.cli.list:schema", "Print the JSON Schema of a matrix or of a plugin's parameters."),
-    "rank": ("codecbench.cli.rank:rank", "Say which codec to take, at which setting."),
-    "power": ("codecbench.cli.rank:power", "Say what a run could decide, and how much more of it would tell."),
+    "rank": ("codecbench.cli.rank:rank", "Recommend a codec and its setting."),
+    "power": ("codecbench.cli.rank:power", "Show which differences a run can detect, and what decides the others."),
     "choose": (
         "codecbench.cli.choose:choose",
-        "Say which settings are good enough over a link, and what limits the others.",
+        "Show which settings are good enough over a link, and what limits the others.",
     ),
-    "apply": ("codecbench.cli.apply:apply", "Print what one pastes into a robot for the setting that a run takes."),
+    "apply": ("codecbench.cli.apply:apply", "Print configuration to paste into a robot, for the recommended setting."),
     "report": ("codecbench.cli.report:report", "Write a report: one HTML page, or Markdown or LaTeX tables."),
     "plot": ("codecbench.cli.report:plot", "Draw the figures of a run as SVG, PNG or PDF."),
     "compare": ("codecbench.cli.compare:compare", "Compare two runs: better, worse, same or inconclusive."),
-    "status": ("codecbench.cli.plan:status", "Show how far a run has got, also while it is running."),
-    "reproduce": ("codecbench.cli.report:reproduce", "Put the paper's tables and figures beside a run."),
+    "status": ("codecbench.cli.plan:status", "Show the progress of a run, also while it is running."),
+    "reproduce": ("codecbench.cli.report:reproduce", "Compare the paper's tables and figures with a run."),
     "data": ("codecbench.cli.data:data", "List, fetch and find datasets."),
-    "warm-up": ("codecbench.cli.warm_up:warm_up", "Compile ahead the kernels that runs will need."),
-    "bundle": ("codecbench.cli.bundle:bundle", "Put a run into one file, to be kept, cited and opened by others."),
-    "open": ("codecbench.cli.bundle:open_bundle", "Unpack a bundle and report on it; no code of it is run."),
-    "verify-run": ("codecbench.cli.bundle:verify_run", "Compute some cells of a bundle again; say which agree."),
-    "verify": ("codecbench.cli.verify:verify", "Check that codecs do what the contract asks; write and check corpora."),
-    "export": ("codecbench.cli.export:export", "Write what a codec sent as video or picture files."),
+    "warm-up": ("codecbench.cli.warm_up:warm_up", "Compile kernels before runs need them."),
+    "bundle": ("codecbench.cli.bundle:bundle", "Pack a run into one file to archive, cite and share."),
+    "open": ("codecbench.cli.bundle:open_bundle", "Unpack a bundle and report on it, without running code from it."),
+    "verify-run": ("codecbench.cli.bundle:verify_run", "Recompute some cells of a bundle and compare their values."),
+    "verify": ("codecbench.cli.verify:verify", "Check that codecs meet their contract; write and check corpora."),
+    "export": ("codecbench.cli.export:export", "Write a codec's bitstreams as video or image files."),
     "table": ("codecbench.cli.report:table", "Print or write the tables of a run."),
 }
 
@@ -85,9 +85,9 @@ class LazyGroup(click.Group):
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="codecbench")
-@click.option("--confine", is_flag=True, help="Keep other distributions' plugins from the network and from your files.")
+@click.option("--confine", is_flag=True, help="Block other distributions' plugins from the network and your files.")
 def cli(confine: bool) -> None:
-    """Benchmark image codecs by what they do to the task that uses the images."""
+    """Benchmark image codecs by their effect on the task that uses the images."""
     if confine:
         os.environ[confinement.VARIABLE] = "1"
     if confinement.is_confinement_requested():

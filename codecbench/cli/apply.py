@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--codec", "codecs", multiple=True, shell_complete=codec_names,
-              help="The pick of this codec in place of the answer; may be given more than once.")  # fmt: skip
-@click.option("--setting", default="", metavar="'KEY=VALUE ...'", help="Which setting of the --codec, not its pick.")
+              help="Use this codec's pick instead of the recommended setting; repeatable.")  # fmt: skip
+@click.option("--setting", default="", metavar="'KEY=VALUE ...'", help="Setting of the --codec instead of its pick.")
 @click.option("--stack", "stacks", multiple=True, metavar="WORD",
-              help="Only stacks with this word in their name, such as ros; may be given again.")  # fmt: skip
+              help="Print only stacks with this word in their name, such as ros; repeatable.")  # fmt: skip
 @click.option("--frame-rate", "frame_rate_hz", type=click.FloatRange(min=0, min_open=True), metavar="HZ",
-              help="That of the camera; the default is that of the sequence.")  # fmt: skip
-@click.option("--size", metavar="WIDTHxHEIGHT", help="That of the camera; the default is that of the sequence.")
+              help="Frame rate of the camera; default: that of the sequence.")  # fmt: skip
+@click.option("--size", metavar="WIDTHxHEIGHT", help="Frame size of the camera; default: that of the sequence.")
 def apply(
     run: Path,
     codecs: tuple[str, ...],
@@ -46,13 +46,13 @@ def apply(
     frame_rate_hz: float | None,
     size: str | None,
 ) -> None:
-    """Print what one pastes into a robot for the setting that the answer of RUN takes.
+    """Print configuration to paste into a robot, for the recommended setting of RUN.
 
-    For each stack that the codec has a recipe for: parameters of ROS 2, a GStreamer pipeline, a command of ffmpeg, a
-    call from Python; and a note where that stack does not code what was measured.
+    For each stack that the codec has a recipe for: ROS 2 parameters, a GStreamer pipeline, an ffmpeg command or a
+    Python call. A note marks stacks that code something else than what was measured.
     """
     if setting and len(codecs) != 1:
-        raise click.UsageError("--setting is of one codec; give one --codec")
+        raise click.UsageError("--setting needs exactly one --codec")
     result = collect.open_nonempty_run(run)
     picks_by_link = {link: views.answer_picks(result, link) for link in choosing.links_with_readers(result) or [""]}
     first_picks = [picks[0] for picks in picks_by_link.values() if picks]
@@ -68,7 +68,7 @@ def apply(
     elif not jobs:
         for sentence in answers.answers(result).sentence.splitlines():
             say(sentence)
-        say("Nothing to apply; --codec NAME prints the recipes of a codec all the same.")
+        say("Nothing to apply; --codec NAME prints a codec's recipes anyway.")
         return
     scene = _scene(run, jobs[0], frame_rate_hz, size)
     for job in jobs:
@@ -78,9 +78,9 @@ def apply(
         verdict = f"; passes over {' and '.join(links)}" if any(links) else ""
         if not links:
             is_nearest = any(nearest in picks for picks in picks_by_link.values())
-            verdict = "; it is not known to pass" if is_nearest else "; it is not a pick of the answer"
+            verdict = "; not shown to pass" if is_nearest else "; not one of the picks"
         _comment(f"{name}: {_describe_rate(result, job)}{verdict}", bold=True)
-        _comment(f"for frames of {scene.width}x{scene.height}; /dev/video0, image_raw and out.* are to be your own")
+        _comment(f"for frames of {scene.width}x{scene.height}; replace /dev/video0, image_raw and out.* with your own")
         click.echo()
         for recipe in _recipes(plugins.installed(), job.codec, scene):
             if not stacks or any(word.lower() in recipe["stack"].lower() for word in stacks):
@@ -117,7 +117,7 @@ def _job(result: RunResult, codec: str, setting: str = "", label: str | None = N
         raise click.UsageError(f"the run has no codec {codec}; it has: {names}")
     labels = "; ".join(matches or dict.fromkeys(job.codec.label for job in jobs))
     if matches:
-        raise click.UsageError(f"several settings of {codec} are meant; say which by --setting: {labels}")
+        raise click.UsageError(f"several settings of {codec} match; select one with --setting: {labels}")
     raise click.UsageError(f"the run has no {codec} {setting}; it has: {labels}")
 
 
@@ -144,7 +144,7 @@ def _scene(run: Path, job: CodingJob, frame_rate_hz: float | None, size: str | N
         try:
             facts = plugins.installed().ask(frames_of, dataset.name, dataset.params, of=[("dataset", dataset.name)])
         except CodecbenchError as error:
-            raise click.UsageError(f"{error}; give --frame-rate and --size, and no sequence is opened") from error
+            raise click.UsageError(f"{error}; give --frame-rate and --size to avoid opening the sequence") from error
     width, height = (int(side) for side in facts[1:])
     if size is not None:
         sides = size.split("x")

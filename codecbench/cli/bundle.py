@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--bitstreams", is_flag=True, help="Also what the codecs wrote; that may be large.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="The file; default RUN.bundle.zip.")
+@click.option("--bitstreams", is_flag=True, help="Include the bitstreams, which can be large.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File to write; default RUN.bundle.zip.")
 def bundle(run: Path, bitstreams: bool, out: Path | None) -> None:
-    """Put the RUN folder into one file that can be kept, cited, and opened by others.
+    """Pack the RUN folder into one file to archive, cite and share.
 
-    It holds the matrix, the plan, every record with its trajectories, and the environments, each file with its
-    SHA-256. The same run gives the same bytes.
+    The bundle contains the matrix, the plan, every record with its trajectories, and the environments, each file with
+    its SHA-256. The same run gives the same bytes.
     """
     packed = packing.write_bundle(run, out, bitstreams=bitstreams)
     manifest = packed.manifest
@@ -41,26 +41,26 @@ def bundle(run: Path, bitstreams: bool, out: Path | None) -> None:
 
 @click.command("open")
 @click.argument("bundle", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The folder; default: beside BUNDLE.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Run folder; default: next to BUNDLE.")
 @click.option(
     "--sequences-from",
     metavar="FOLDER|same",
-    help="Show frames, of a bundle with bitstreams: from sequences in FOLDER, or where its plan names them.",
+    help="Show frames of a bundle with bitstreams, from sequences in FOLDER; `same`: from the paths in its plan.",
 )
 def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> None:
     """Unpack a BUNDLE into a run folder and report on it.
 
-    A bundle is data: names, sizes and SHA-256 of its files are checked, no code of it is run, and nothing that its plan
-    names is opened. What results mean is read from the plan where a plugin is not installed.
+    A bundle is data: codecbench checks names, sizes and SHA-256 of its files, runs no code from it, and opens no path
+    that its plan names. If a plugin is not installed, the plan describes its results.
     """
     folder = out or packing.folder_beside(bundle)
     manifest = packing.unpack_bundle(bundle, folder)
     run = collect.open_nonempty_run(folder)
     ranking.show_notes(tables.notes(run), True)
     show.show_reasons(run)
-    click.echo(f"bundled by codecbench {manifest.codecbench}; its {len(manifest.files)} files are as they were bundled")
+    click.echo(f"bundled by codecbench {manifest.codecbench}; its {len(manifest.files)} files are unchanged")
     if absent := collect.absent_plugins(run.plan, registry.installed()):
-        click.echo(f"not installed, and shown by what the plan keeps of them: {', '.join(absent)}")
+        click.echo(f"not installed, results shown as the plan describes them: {', '.join(absent)}")
     path = folder / "report" / "report.html"
     report_page.write_report(run, path, sequences_from=sequences_from)
     click.echo(f"run folder: {folder}")
@@ -70,32 +70,31 @@ def open_bundle(bundle: Path, out: Path | None, sequences_from: str | None) -> N
 
 @click.command("verify-run")
 @click.argument("bundle", type=click.Path(path_type=Path))
-@click.option("--cells", type=click.IntRange(1), default=5, show_default=True, help="How many cells.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Chooses the cells.")
+@click.option("--cells", type=click.IntRange(1), default=5, show_default=True, help="Number of cells.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random choice of cells.")
 @click.option(
     "--tolerance",
     type=click.FloatRange(0),
     default=1e-6,
     show_default=True,
-    help="The relative difference of two values up to which they agree where libraries have other versions, or the "
-    "processor has other vector instructions.",
+    help="Relative difference up to which values agree if library versions or vector instructions differ.",
 )
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="A fresh run folder, to keep the cells.")
-@click.option("--workers", type=click.IntRange(1), help="Worker processes; by default one a processor.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="New run folder that keeps the cells.")
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; default: one per processor.")
 @click.option(
     "--sequences-from",
     metavar="FOLDER|same",
-    help="Where sequences are that the plan names by path: in FOLDER, or where it says.",
+    help="Open sequences that the plan names by path from FOLDER; `same`: from the paths in the plan.",
 )
 def verify_run(
     bundle: Path, cells: int, seed: int, tolerance: float, out: Path | None, workers: int | None,
     sequences_from: str | None,
 ) -> None:  # fmt: skip
-    """Compute a sample of the cells of a BUNDLE, or of a run folder, again, and say which agree.
+    """Recompute a sample of the cells of a BUNDLE or a run folder, and compare the values.
 
-    Compared are all values that equal code gives again; times are not, nor what depends on the machine. Where
-    libraries have the versions that they had, and the processor the vector instructions, values must be equal to the
-    last bit. The exit status is 1 if a cell differs, or none could be computed.
+    Times and values that depend on the machine are not compared. If library versions and vector instructions are the
+    same, all other values must be equal to the last bit. The exit status is 1 if a cell differs or none could be
+    computed.
     """
     check = verification.verify_run(
         bundle, cells=cells, seed=seed, tolerance=tolerance, out=out, workers=workers, sequences_from=sequences_from,
@@ -105,9 +104,7 @@ def verify_run(
     for agreement in check.cells:
         click.echo(clean_line(_line(agreement)))
     counts = ", ".join(f"{count} {verdict}" for verdict, count in check.counts.items()) or "no cell to compare"
-    click.echo(
-        f"{counts}; tolerance {tolerance:g} of the value where versions or instructions differ, times are not compared"
-    )
+    click.echo(f"{counts}; relative tolerance {tolerance:g} if versions or instructions differ, times not compared")
     if out is not None:
         click.echo(f"run folder: {out}")
     if not check.holds:

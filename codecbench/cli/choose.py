@@ -38,20 +38,20 @@ def quantity(units: Mapping[str, float]) -> Callable[[str], float]:
 
 @click.command()
 @click.argument("source", metavar="RUN|MATRIX", type=click.Path(path_type=Path))
-@click.option("--link", metavar="LINK", help="The link over which frames come; of a RUN, by default each of its.")
+@click.option("--link", metavar="LINK", help="Link that sends the frames; for a RUN, default: each of its links.")
 @click.option("--deadline", type=quantity({"ms": 1.0, "s": 1000.0}), metavar="TIME",
-              help="The oldest that a frame may be when it is there, such as 100ms.")  # fmt: skip
+              help="Maximum age of a frame on delivery, such as 100ms.")  # fmt: skip
 @click.option("--error", type=quantity({"m": 1.0, "cm": 0.01, "mm": 0.001}), metavar="LENGTH",
-              help="The largest error of what reads the frames, such as 5cm.")  # fmt: skip
+              help="Maximum error of the task that reads the frames, such as 5cm.")  # fmt: skip
 @click.option("--share", type=click.FloatRange(0, 1, min_open=True), default=0.95, show_default=True,
-              help="Of the frames that are to be there in time.")  # fmt: skip
+              help="Minimum fraction of frames delivered before the deadline.")  # fmt: skip
 @click.option("--device-factor", type=click.FloatRange(min=0, min_open=True), metavar="FACTOR",
-              help="Count the time of encoding, on a device so many times slower than the one timed.")  # fmt: skip
+              help="Include the encoding time, on a device FACTOR times slower than the timed one.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False),
-              help="Of a matrix: the run folder; default runs/NAME.")  # fmt: skip
-@click.option("--workers", type=click.IntRange(1), help="Of a matrix: worker processes.")
+              help="For a matrix: run folder; default runs/NAME.")  # fmt: skip
+@click.option("--workers", type=click.IntRange(1), help="For a matrix: worker processes.")
 @click.option("--minutes", type=click.FloatRange(min=0), show_default="10",
-              help="Of a matrix: more repeats, where they decide, begin only within that time.")  # fmt: skip
+              help="For a matrix: start additional repeats only within this time.")  # fmt: skip
 @click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
 @everything_option
 def choose(
@@ -67,21 +67,21 @@ def choose(
     format_: str,
     everything: bool,
 ) -> None:
-    """Say which settings of a RUN folder are good enough over a link, and what limits the others.
+    """Show which settings of a RUN folder are good enough over a link, and what limits the others.
 
-    Of a MATRIX is run first what that takes, in its run folder, going on where an earlier run stopped. Evaluators of
-    the link that it lacks are added, and repeats of what reads the frames as far as they decide.
+    Given a MATRIX, first run what the answer needs, in its run folder, and continue where an earlier run stopped. This
+    adds missing evaluators of the link, and repeats until they decide. A MATRIX needs --link, and --deadline or
+    --error.
 
-    Settings stand in order of rate, and the first that passes is the one to take. A run over the link succeeds where
-    what reads the frames has a fresh pose at half of the moments at least, errs less than it would with nothing
-    received and as little as asked, and enough frames are in time. A setting passes where more than half of all runs
-    that there could be would succeed, at 95 %. Of a MATRIX a link, and a deadline or an error, are needed.
+    Settings are in order of rate; use the first that passes. A run over the link succeeds if the task has a fresh pose
+    at half of the moments or more, its error is at most --error and lower than with nothing received, and enough frames
+    meet the deadline. A setting passes if the 95 % confidence interval of its success rate lies above 50 %.
     """
     if trial_choosing.is_matrix(source):
         if link is None:
-            raise click.UsageError("say over which link: --link, such as wifi_edge; `codecbench list links` names all")
+            raise click.UsageError("--link is missing: give one such as wifi_edge; `codecbench list links` lists all")
         if deadline is None and error is None:
-            raise click.UsageError("say what is asked: --deadline, --error or both")
+            raise click.UsageError("give --deadline, --error or both")
         demand = choosing.Demand(link, deadline, error, share, device_factor)
         _run_and_choose(
             source, demand, out, workers, trial_choosing.MINUTES if minutes is None else minutes, format_, everything
@@ -89,9 +89,9 @@ def choose(
         return
     matrix_options = {"--out": out, "--workers": workers, "--minutes": minutes}
     if names := [name for name, value in matrix_options.items() if value is not None]:
-        raise click.UsageError(f"{names[0]} is for a matrix, and {source} is none")
+        raise click.UsageError(f"{names[0]} needs a matrix, and {source} is not one")
     if device_factor is not None and deadline is None and error is None:
-        raise click.UsageError("--device-factor makes pictures older, which counts beside a --deadline")
+        raise click.UsageError("--device-factor increases the age of frames; give a --deadline too")
     _show(
         collect.open_nonempty_run(source),
         choosing.Demand(link or "", deadline, error, share, device_factor),

@@ -55,10 +55,10 @@ _FAILING = {
     type=float,
     default=0.05,
     show_default=True,
-    help="A relative change of a time up to this counts as none.",
+    help="Relative change up to which a time counts as unchanged.",
 )
 @click.option("--format", "format_", type=Format(["text", "markdown", "json"]), default="text", show_default=True)
-@click.option("--all", "everything", is_flag=True, help="Show all rows, those that are the same too.")
+@click.option("--all", "everything", is_flag=True, help="Show all rows, including unchanged ones.")
 @click.option(
     "--save", type=click.Path(path_type=Path, dir_okay=False), help="Save BEFORE as a baseline file and stop."
 )
@@ -69,9 +69,9 @@ def compare(
     """Compare two runs cell by cell: run folders, or baseline files that --save wrote.
 
     Sizes, quality and counts are compared exactly. Times are compared statistically over repeats (at least five), in
-    units of a fixed piece of work that was timed beside them. Wall time counts as changed only where processor time
-    agrees, and a change of less than 10 microseconds a frame counts as none. Between different machines the verdict on
-    times is “inconclusive”, with a warning. Runs with nothing in common to compare make the exit status 1, too.
+    units of a fixed workload that was timed with them. Wall time counts as changed only if processor time agrees; a
+    change of less than 10 microseconds per frame counts as none. Between different machines the verdict on times is
+    “inconclusive”, with a warning. The exit status is 1 also if the runs have nothing in common.
     """
     first = comparison.read_snapshot(before)
     if save is not None:
@@ -79,7 +79,7 @@ def compare(
         click.echo(f"{save}: {len(first.series):,} series of {first.name}")
         return
     if after is None:
-        raise click.UsageError("name a second run to compare with, or --save FILE to keep a baseline")
+        raise click.UsageError("give a second run to compare with, or --save FILE to write a baseline")
     second = comparison.read_snapshot(after)
     if set(first.machines) != set(second.machines):
         machines = " | ".join("; ".join(snapshot.machines) for snapshot in (first, second))

@@ -12,12 +12,12 @@ from codecbench.plugins.datasets import catalog
 
 @click.group()
 def data() -> None:
-    """List, fetch and find datasets. They are kept in the folder that CODECBENCH_CACHE names."""
+    """List, fetch and find datasets. CODECBENCH_CACHE sets the folder that stores them."""
 
 
 @data.command("list")
 def list_data() -> None:
-    """List the datasets that codecbench knows, with licence and citation."""
+    """List the datasets of the catalog, with license and citation."""
     for entry in catalog.list_datasets():
         state = "there" if entry.is_there else "by hand" if entry.manual else _size(entry.size_bytes)
         say(f"{entry.name}  [{state}]  sequence: use: {entry.kind}", indent=4, bold=True)
@@ -28,7 +28,7 @@ def list_data() -> None:
 @data.command()
 @click.argument("name")
 def fetch(name: str) -> None:
-    """Fetch the dataset NAME, resuming a download that was cut, and print its folder."""
+    """Fetch the dataset NAME, resuming an interrupted download, and print its folder."""
     entry = catalog.find(name)
     click.echo(f"{entry.name}: {entry.licence}\n{entry.citation}", err=True)
     columns = (*Progress.get_default_columns(), DownloadColumn(), TransferSpeedColumn())
@@ -53,4 +53,4 @@ def path(name: str) -> None:
 
 
 def _size(size_bytes: int | None) -> str:
-    return "size not known" if size_bytes is None else f"{size_bytes / 1e6:,.0f} MB"
+    return "size unknown" if size_bytes is None else f"{size_bytes / 1e6:,.0f} MB"

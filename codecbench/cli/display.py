@@ -97,7 +97,7 @@ class Display:
         for reason, count in self._reasons.items():
             if count > 1:
                 cells = "1 more cell has" if count == 2 else f"{count - 1} more cells have"
-                click.echo(f"{cells} no result for the reason of {self._first[reason]}", err=True)
+                click.echo(f"{cells} no result for the same reason as {self._first[reason]}", err=True)
 
     def show(self, progress: Progress) -> None:
         """Show the progress. Raises ClickException if a cell failed and the run is to stop at the first failure."""
@@ -123,7 +123,7 @@ class Display:
             self._first[record.reason] = clean_line(name)
             click.echo(clean_line(f"{record.status}: {name}: {record.reason}"), err=True)
         if not self._keep_going:
-            raise click.ClickException("stopped at the first failure (--fail-fast); what is finished is kept")
+            raise click.ClickException("stopped at the first failure (--fail-fast); finished cells are kept")
 
     def _print_every_minute(self) -> None:
         while not self._ended.wait(_LINE_EVERY_S):

@@ -15,7 +15,7 @@ from codecbench.core.engine.storage import atomic
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write it to this file.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the matrix to this file.")
 def examples(name: str | None, out: Path | None) -> None:
     """List the example matrices that come with codecbench, or print the one called NAME."""
     if name is None:
@@ -28,7 +28,7 @@ def examples(name: str | None, out: Path | None) -> None:
         click.echo(text, nl=False)
         return
     if out.exists():
-        raise click.UsageError(f"{out} is there already; give another --out")
+        raise click.UsageError(f"{out} already exists; give another --out")
     atomic.write_file(out, text.encode())
     click.echo(f"{out}; now: codecbench run {out}")
 
@@ -46,7 +46,7 @@ def example(name: str) -> str:
     if bare not in names:
         matches = difflib.get_close_matches(bare, names, n=1)
         hint = f"did you mean {matches[0]!r}? " if matches else ""
-        raise MatrixError(f"no example is called {name!r}; {hint}there are {', '.join(names)}")
+        raise MatrixError(f"no example is called {name!r}; {hint}available: {', '.join(names)}")
     return (_folder() / f"{bare}.yaml").read_text(encoding="utf-8")
 
 

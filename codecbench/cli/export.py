@@ -31,18 +31,18 @@ _SUFFIXES: Final = {
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--codec", required=True, shell_complete=codec_names, help="Whose bitstreams.")
-@click.option("--setting", default="", metavar="'KEY=VALUE ...'", help="Which setting, where there are several.")
-@click.option("--sequence", help="Which sequence, where there are several.")
+@click.option("--codec", required=True, shell_complete=codec_names, help="Codec whose bitstreams to write.")
+@click.option("--setting", default="", metavar="'KEY=VALUE ...'", help="Setting to write, if the run has several.")
+@click.option("--sequence", help="Sequence to write, if the run has several.")
 @click.option("--frame-rate", "frame_rate_hz", type=click.FloatRange(min=0, min_open=True), metavar="HZ",
-              help="That of the video; the default is that of the sequence.")  # fmt: skip
+              help="Frame rate of the video; default: that of the sequence.")  # fmt: skip
 @click.option("--out", required=True, type=click.Path(path_type=Path),
               help="A video file (.mp4, .mkv, .h264 ...) for a video codec, a new folder for others.")  # fmt: skip
 def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate_hz: float | None, out: Path) -> None:
-    """Write what a codec sent in RUN into files that other programs read.
+    """Write a codec's bitstreams in RUN to files that other programs read.
 
-    Packets of a video codec go into one file as they are. Bitstreams of a codec of single pictures go into a new
-    folder, a file each: JPEG, JPEG 2000 and PNG as such, others as codecbench keeps them.
+    Packets of a video codec go unchanged into one file. Bitstreams of an image codec go into a new folder, one file
+    each: JPEG, JPEG 2000 and PNG with their suffix, others as .bin.
     """
     store = run_store.Store(run)
     job = _job(store.read_plan().jobs, codec, setting, sequence)
@@ -65,16 +65,15 @@ def _job(jobs: Sequence[CodingJob], codec: str, setting: str, sequence: str | No
         return matches[0]
     names = "; ".join(f"{job.codec.name} {job.codec.label} on {job.sequence.name}" for job in matches or jobs)
     if matches:
-        raise click.UsageError(f"several are meant; say which by --setting and --sequence: {names}")
+        raise click.UsageError(f"several match; select one with --setting and --sequence: {names}")
     raise click.UsageError(f"the run has no {codec} {setting} on {sequence or 'any sequence'}; it has: {names}")
 
 
 def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> None:
     if out.suffix:
-        message = f"{job.codec.name} codes pictures on their own, which are no video"
-        raise click.UsageError(f"--out {out}: {message}; name a new folder, for a file each")
+        raise click.UsageError(f"--out {out}: {job.codec.name} is not a video codec; give a new folder for its files")
     if out.exists():
-        raise click.UsageError(f"--out {out} is there already; name a new folder")
+        raise click.UsageError(f"--out {out} already exists; give a new folder")
     contents = {}
     for frame in range(len(bitstreams)):
         data = bitstreams.read(frame)
@@ -92,9 +91,9 @@ def _write_video(bitstreams: BitstreamFile, job: CodingJob, frame_rate_hz: float
         else plugins.create("codec", job.codec.name, job.codec.params)
     )
     if not frame_rate_hz:
-        raise click.UsageError(f"the plan does not know the frame rate of {job.sequence.name}; give --frame-rate")
+        raise click.UsageError(f"the plan has no frame rate for {job.sequence.name}; give --frame-rate")
     if not isinstance(codec, codecs.VideoCodec):
-        raise click.UsageError(f"what {job.codec.full_name} sends is of no format that video files take")
+        raise click.UsageError(f"video files cannot contain the packets of {job.codec.full_name}")
     packets = [sent.packet(bitstreams.read(sent.frame)) for sent in bitstreams.packets]
     content = muxing.file_from_packets(codec, packets, frame_rate_hz, out.name)
     atomic.write_file(out, content)

@@ -126,7 +126,7 @@ def _save_traceback(error: BaseException) -> str:
         with os.fdopen(handle, "w", encoding="utf-8") as stream:
             stream.write("".join(traceback.format_exception(error)))
     except OSError:
-        return f"\n{DEBUG}=1 shows where"
+        return f"\n{DEBUG}=1 shows the traceback"
     return f"\nthe traceback is in {name}; please report the error with that file"
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path), help="The run folder; default runs/NAME.")
 @click.option("--cells", is_flag=True, help="List every coding job and cell.")
 def plan(matrix: Path, out: Path | None, cells: bool) -> None:
-    """Show what `codecbench run MATRIX` would do: coding jobs, cells, what is done already and what is unsupported."""
+    """Show what `codecbench run MATRIX` would do: coding jobs, cells, and which of them are done or unsupported."""
     next_plan, folder, growth = running.plan_matrix(matrix_file.read_matrix(matrix), out)
     store = run_store.Store(folder)
     store.refuse_links()
@@ -47,12 +47,12 @@ def plan(matrix: Path, out: Path | None, cells: bool) -> None:
     for reason, count in Counter(cell.unsupported for cell in unsupported).items():
         _say(f"  unsupported ({count}): {reason}")
     for reason, count in Counter(outdated.values()).items():
-        _say(f"  done before, to do again ({count}): {reason}")
+        _say(f"  outdated, to do again ({count}): {reason}")
     with_result = {id_: entries[id_] for id_ in done}
     for notice in code_changes.code_notices(next_plan, with_result, store, registry.installed()):
         _say(f"  {clean_line(notice)}")
     if growth is not None:
-        _say("the plan grows as its searches, repeats and awaited times need; this is its next round")
+        _say("searches, repeats and measured times can extend the plan; this is its next round")
     for finding in next_plan.searches:
         _say(f"  {clean_line(str(finding))}")
     if cells:
@@ -101,7 +101,7 @@ def _format_duration(seconds: float) -> str:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON for programs to read.")
 @click.option("--failed", is_flag=True, help="List the cells that failed, with their reasons.")
 def status(run: Path, as_json: bool, failed: bool) -> None:
-    """Show how far the run in the RUN folder has got, also while it is running."""
+    """Show the progress of the run in the RUN folder, also while it is running."""
     store = run_store.Store(run)
     run_plan = store.read_plan()
     entries = store.entries()

@@ -22,7 +22,7 @@ FORMATS: Final = ("text", "markdown", "latex", "json")
 _NOTES: Final = 4
 """How many lines of notes are printed without --all."""
 
-everything_option = click.option("--all", "everything", is_flag=True, help="Also all that stands behind the answer.")
+everything_option = click.option("--all", "everything", is_flag=True, help="Also print the details behind the answer.")
 
 
 @click.command()
@@ -34,13 +34,13 @@ everything_option = click.option("--all", "everything", is_flag=True, help="Also
     "rates",
     type=click.FloatRange(min=0, min_open=True),
     multiple=True,
-    help="Say which codec and setting to take at this rate, in the unit of tables (bit/px); repeatable.",
+    help="Recommend a codec and setting at this rate, in the unit of the tables (bit/px); repeatable.",
 )
 def rank(run: Path, format_: str, everything: bool, rates: tuple[float, ...]) -> None:
-    """Say which codec of the RUN folder to take: the pick of each codec, and the answer.
+    """Recommend a codec of the RUN folder: print the pick of each codec, and the answer.
 
-    With --all also which codecs are ahead by each task on each sequence, what is undecided and what would decide it,
-    and down to which rate each codec passes. JSON always has all of it.
+    With --all, also print which codecs are ahead by each task on each sequence, what is undecided and what would
+    decide it, and the lowest rate at which each codec passes. JSON always includes all of it.
     """
     result = collect.open_nonempty_run(run)
     if rates:
@@ -66,15 +66,15 @@ def _show_tables_and_answer(verdicts: list[Verdict]) -> None:
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option(
-    "--power", type=click.FloatRange(0.05, 0.999), default=0.8, show_default=True, help="Share of cases that find it."
+    "--power", type=click.FloatRange(0.05, 0.999), default=0.8, show_default=True, help="Probability of detection."
 )
 @click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
 def power(run: Path, power: float, format_: str) -> None:
-    """Say which differences the RUN folder could show, which are significant, and what would decide the others.
+    """Show which differences the RUN folder can detect, which are significant, and what would decide the others.
 
-    For each two codecs: the smallest difference that would have been found, at the level of `codecbench rank`, in the
-    share POWER of cases; and what would decide: settings, up to a hundredfold of frames, sequences, or nothing. For
-    each setting that can fail: from which success rate on so many runs would show that it passes.
+    For each pair of codecs: the smallest difference that is detected with probability POWER, at the level of
+    `codecbench rank`; and what would decide: settings, up to a hundredfold of frames, sequences, or nothing. For each
+    setting that can fail: the lowest success rate at which as many runs would show that it passes.
     """
     result = collect.open_nonempty_run(run)
     print_in_format(result, formatting.power_verdicts(result, power), format_)
@@ -99,7 +99,7 @@ def print_in_format(result: RunResult, verdicts: list[Verdict], format_: str, *,
     elif format_ == "text":
         has_answer = bool(verdicts) and verdicts[-1].title == "answer"
         if not verdicts:
-            say("nothing to rank: it takes a rate, and a headline of role task, quality or success; "
+            say("nothing to rank: this needs a rate, and a primary metric of role task, quality or success; "
                 "with --rate, two codecs whose settings reach it")  # fmt: skip
         if not has_answer:
             show_verdicts(verdicts)

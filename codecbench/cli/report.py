@@ -34,9 +34,11 @@ def _numbers(_context: click.Context, _option: click.Parameter, text: str | None
 @click.option(
     "--sequences-from",
     metavar="FOLDER|same",
-    help="Show frames of a run that was made elsewhere, from sequences in FOLDER, or from the same places as there.",
+    help="Show frames of a run from another machine, from sequences in FOLDER; `same`: from the paths in its plan.",
 )
-@click.option("--frames", metavar="N,N,...", callback=_numbers, help="Show these frames, from 0, and not a few of all.")
+@click.option(
+    "--frames", metavar="N,N,...", callback=_numbers, help="Show these frames, from 0; default: a few of all."
+)
 def report(run: Path, out: Path | None, format_: str, sequences_from: str | None, frames: list[int]) -> None:
     """Write a report of the RUN folder: one HTML page that needs no network, or its tables as Markdown or LaTeX."""
     suffix = {"html": "html", "markdown": "md", "latex": "tex"}[format_]
@@ -49,7 +51,7 @@ def report(run: Path, out: Path | None, format_: str, sequences_from: str | None
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="A folder; default: RUN/report.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder; default: RUN/report.")
 @click.option("--format", "format_", type=click.Choice(["svg", "png", "pdf"]), default="svg", show_default=True)
 def plot(run: Path, out: Path | None, format_: str) -> None:
     """Draw the figures of the RUN folder: curves over the rate, bars by stage, and maps."""
@@ -57,7 +59,7 @@ def plot(run: Path, out: Path | None, format_: str) -> None:
     for path in figures.draw_all(collect.open_nonempty_run(run), out or run / "report", format_):
         click.echo(str(path))
     if path is None:
-        click.echo("no figure: the run has no path, and no rate with a metric that differs between codecs")
+        click.echo("no figure: the run has no trajectory, and no rate with a metric that differs between codecs")
 
 
 FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
@@ -66,15 +68,15 @@ FORMATS = ("text", "csv", "parquet", "json", "markdown", "latex")
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option(
-    "--wide", "shape", flag_value="wide", default=True, help="One row a sequence and codec setting (default)."
+    "--wide", "shape", flag_value="wide", default=True, help="One row per sequence and codec setting (default)."
 )
-@click.option("--tidy", "shape", flag_value="tidy", help="One row a measurement.")
-@click.option("--all", "every", is_flag=True, help="All columns, and not only the headlines.")
+@click.option("--tidy", "shape", flag_value="tidy", help="One row per measurement.")
+@click.option("--all", "every", is_flag=True, help="All columns, not only the primary metrics.")
 @click.option("--format", "format_", type=Format(FORMATS), default="text", show_default=True)
 @click.option("--columns", help="Only these columns of the wide table, separated by commas; `*` matches anything.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to this file instead of printing.")
 def table(run: Path, shape: str, every: bool, format_: str, columns: str | None, out: Path | None) -> None:
-    """Print or write a table of the RUN folder: for people its headlines, for programs everything."""
+    """Print or write a table of the RUN folder: primary metrics for people, everything for programs."""
     result = collect.open_nonempty_run(run)
     frame, same = result.wide if shape == "wide" else result.tidy, ""
     headlines = shape == "wide" and columns is None and not every
@@ -94,7 +96,7 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
         show.show_table(frame[whole], result.plan.name)
         if left_out := len(frame.columns) - len(whole):
             count = terminal_text.counted(left_out, "column")
-            say(f"{count} of single stages left out here; --columns '*/*' shows them")
+            say(f"{count} of single stages hidden; --columns '*/*' shows them")
         return
     if headlines and format_ in ("markdown", "latex"):
         frame, same = tables.drop_constant_columns(
@@ -105,7 +107,7 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
         atomic.write_file(out, content)
         click.echo(str(out))
     elif format_ == "parquet":
-        raise click.UsageError("--format parquet is not text; name a file with --out")
+        raise click.UsageError("--format parquet needs --out FILE")
     else:
         click.echo(content.decode(), nl=False)
 
@@ -114,9 +116,9 @@ def table(run: Path, shape: str, every: bool, format_: str, columns: str | None,
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("paper.md"), show_default=True)
 def reproduce(runs: tuple[Path, ...], out: Path) -> None:
-    """Write the page that puts the paper beside a run of examples/paper.yaml, table by table.
+    """Write the page that compares the paper with a run of examples/paper.yaml, table by table.
 
-    Trajectories of further runs, such as examples/paper_loops.yaml, are added.
+    Further runs, such as one of examples/paper_loops.yaml, add their trajectories.
     """
     for path in paper_page.write_page([collect.open_nonempty_run(run) for run in runs], out):
         click.echo(str(path))

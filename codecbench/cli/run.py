@@ -33,7 +33,7 @@ LEVELS = ("debug", "info", "warning", "error")
 @click.command()
 @click.argument("matrix", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The run folder; default runs/NAME.")
-@click.option("--workers", type=click.IntRange(1), help="Worker processes; by default as many as the matrix says.")
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; default: as in the matrix.")
 @click.option(
     "--recompute",
     multiple=True,
@@ -42,9 +42,9 @@ LEVELS = ("debug", "info", "warning", "error")
     help="Compute all cells of a codec, evaluator or sequence again.",
 )
 @click.option("--keep-going/--fail-fast", default=True, show_default=True, help="Continue after a cell fails.")
-@click.option("--log-level", type=click.Choice(LEVELS), default="info", show_default=True, help="For run.log.")
+@click.option("--log-level", type=click.Choice(LEVELS), default="info", show_default=True, help="Log level of run.log.")
 @everything_option
-@click.option("--quiet", is_flag=True, help="Print only what failed, and the run folder.")
+@click.option("--quiet", is_flag=True, help="Print only failures and the run folder.")
 def run(
     matrix: Path,
     out: Path | None,
@@ -57,7 +57,7 @@ def run(
 ) -> None:
     """Run a MATRIX: every codec setting on every sequence, evaluated.
 
-    Continues where an earlier run in the same folder stopped. The exit status is 1 if a cell failed or none has a
+    Continue where an earlier run in the same folder stopped. The exit status is 1 if a cell failed or none has a
     result, and 130 if the run was stopped.
     """
     for problem in registry.installed().problems:
@@ -119,13 +119,13 @@ def _show(summary: RunSummary, quiet: bool, everything: bool) -> RunResult | Non
 def show_cells(summary: RunSummary, *, err: bool = False) -> None:
     """Print what became of the cells of a run, and its folder. err: print all of it on standard error."""
     counts = ", ".join(f"{count} {status}" for status, count in sorted(summary.statuses.items()))
-    kept_cells = f", {summary.kept} of them from before" if summary.kept else ""
+    kept_cells = f", {summary.kept} of them from an earlier run" if summary.kept else ""
     click.echo(f"cells: {counts or 'none'}{kept_cells}", err=err)
     for reason, count in Counter(_unsupported_reasons(summary)).items():
         click.echo(f"unsupported ({count}): {reason}", err=True)
     click.echo(f"run folder: {summary.folder}", err=err)
     if summary.damaged:
-        click.echo(f"damaged and computed again: {counted(len(summary.damaged), 'cell')}; run.log says why", err=True)
+        click.echo(f"damaged and computed again: {counted(len(summary.damaged), 'cell')}; reasons in run.log", err=True)
 
 
 def _unsupported_reasons(summary: RunSummary) -> list[str]:

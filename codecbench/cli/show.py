@@ -35,7 +35,7 @@ def show_summary(result: RunResult) -> None:
     if same:
         say(same)
     if left_out:
-        say(f"left out for lack of width: {', '.join(left_out)}; --all shows them")
+        say(f"columns that do not fit: {', '.join(left_out)}; --all shows them")
     for note in tables.notes(result):
         say(note, fg="yellow")
 

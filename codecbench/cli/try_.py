@@ -30,14 +30,15 @@ def _choices(command: Callable[..., Any]) -> Callable[..., Any]:
     """The options by which a matrix is chosen."""
     for option in reversed((
         click.option("--codec", "codecs", multiple=True, metavar="CODEC", shell_complete=codec_names,
-                     help="Such as jpeg:5..90 or h264:crf=18..40; may be given more than once."),
-        click.option("--for", "aim", type=click.Choice(_AIMS), help="What pictures are for; by default what suits."),
+                     help="Codec and values, such as jpeg:5..90 or h264:crf=18..40; repeatable."),
+        click.option("--for", "aim", type=click.Choice(_AIMS),
+                     help="What the frames are for; default: what suits the recording."),
         click.option("--minutes", type=click.FloatRange(min=0, min_open=True), show_default="5 for tracking, else 2.5",
-                     help="About how long it may take; a long recording is cut to that."),
+                     help="Approximate duration; a long recording is cut to fit."),
         click.option("--fov", type=click.FloatRange(0, 180, min_open=True, max_open=True), metavar="DEGREES",
-                     help="The camera's horizontal field of view, where there is no calibration."),
+                     help="The camera's horizontal field of view, if there is no calibration."),
         click.option("--set", "set_", multiple=True, metavar="NAME=VALUE",
-                     help="A parameter of the dataset, such as topic=/camera/image_raw."),
+                     help="Parameter of the dataset, such as topic=/camera/image_raw; repeatable."),
     )):  # fmt: skip
         command = option(command)
     return command
@@ -47,7 +48,7 @@ def _choices(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.argument("path", type=click.Path(path_type=Path))
 @_choices
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="The run folder; default runs/try-NAME.")
-@click.option("--workers", type=click.IntRange(1), help="Worker processes; by default one a core.")
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; default: one per core.")
 @everything_option
 @click.option("--open/--no-open", "show", default=None, help="Open the report in a browser; by default on a desktop.")
 def try_(
@@ -64,14 +65,14 @@ def try_(
 ) -> None:
     """Try codecs on the recording at PATH, and write a report.
 
-    PATH is a folder of pictures, a video, a TUM, KITTI or EuRoC folder, or a ROS bag. The matrix that is chosen stays
-    in the run folder, to edit and run again.
+    PATH is a folder of images, a video, a TUM, KITTI or EuRoC folder, or a ROS bag. The run folder keeps the chosen
+    matrix, to edit and run again.
     """
-    click.echo(f"looking at {path} ...", err=True)
+    click.echo(f"opening {path} ...", err=True)
     made = _fit_matrix(path, codecs, aim, minutes, fov, set_)
 
     work = f"{counted(made.settings, 'setting')} on {counted(made.frames, 'frame')}"
-    click.echo(f"{work}: about {made.minutes} min{', some of it to compile kernels, once' if made.compiles else ''}")
+    click.echo(f"{work}: about {made.minutes} min{', including compilation of kernels, once' if made.compiles else ''}")
 
     show = _on_desktop() if show is None else show
     matrix = matrix_file.matrix_from(made.text)
@@ -79,11 +80,11 @@ def try_(
 
 
 @click.command()
-@click.option("--from", "path", type=click.Path(path_type=Path), help="A recording that the matrix is to suit.")
+@click.option("--from", "path", type=click.Path(path_type=Path), help="Write a matrix for this recording.")
 @_choices
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default=Path("matrix.yaml"), show_default=True,
-              help="The file to write; - for the terminal.")  # fmt: skip
-@click.option("--force", is_flag=True, help="Write over a file that is there.")
+              help="File to write; - is standard output.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Overwrite an existing file.")
 def init(
     path: Path | None,
     codecs: tuple[str, ...],
@@ -94,7 +95,7 @@ def init(
     out: Path,
     force: bool,
 ) -> None:
-    """Write a matrix with comments, to edit: one that suits a recording, or a small one to begin with."""
+    """Write a matrix with comments, to edit: one for a recording, or a small one to start from."""
     text = (
         examples.example("first")
         if path is None
@@ -104,7 +105,7 @@ def init(
         click.echo(text, nl=False)
         return
     if out.exists() and not force:
-        raise click.UsageError(f"{out} is there already; give another --out, or --force to write over it")
+        raise click.UsageError(f"{out} already exists; give another --out, or --force to overwrite it")
     atomic.write_file(out, text.encode())
     click.echo(f"{out}; now: codecbench run {out}")
 

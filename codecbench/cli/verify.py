@@ -36,7 +36,7 @@ _FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--only", multiple=True, type=click.Choice(_CHECK_NAMES), metavar="CHECK",
               help="Run only this check; repeatable.")  # fmt: skip
 @click.option("--timeout", type=click.FloatRange(min=0, min_open=True), default=TIMEOUT_S, show_default=True,
-              metavar="SECONDS", help="For one check on gray or on colour images.")  # fmt: skip
+              metavar="SECONDS", help="Time limit of one check on gray or on color images.")  # fmt: skip
 @click.option("--json", "json_path", type=click.Path(path_type=Path, allow_dash=True), metavar="FILE",
               help="Write the results as JSON; `-` is standard output.")  # fmt: skip
 @click.option("--write-corpus", "write_to", type=_FOLDER, help="Write bitstreams with their hashes into a new folder.")
@@ -52,18 +52,18 @@ def verify(
     write_to: Path | None,
     check_in: Path | None,
 ) -> None:
-    """Check that codecs do what the contract asks: those named, or all that are installed.
+    """Check that codecs meet their contract: the given ones, or all that are installed.
 
-    Each is checked at its example settings, or at those given, in a process of its own with a time limit. With
-    --write-corpus or --check-corpus the corpus is written or checked, and no check is run. The exit status is 1 if
-    anything fails, if a codec that was named is not available, or if there was nothing to check.
+    Each check runs at the codec's example settings, or at the given ones, in its own process with a time limit. With
+    --write-corpus or --check-corpus, only the corpus is written or checked. The exit status is 1 if anything fails, if
+    a given codec is not available, or if there was nothing to check.
     """
     if write_to is not None and check_in is not None:
-        raise click.UsageError("--write-corpus and --check-corpus are two runs")
+        raise click.UsageError("give --write-corpus or --check-corpus, not both")
     if settings and len(codecs) != 1:
         raise click.UsageError("--settings needs exactly one CODEC")
     if check_in is not None and settings:
-        raise click.UsageError("--check-corpus takes its settings from the corpus")
+        raise click.UsageError("--check-corpus reads the settings from the corpus; omit --settings")
     report = _Report(to_stderr=str(json_path) == "-")
     with Examiner(timeout) as examiner:
         if check_in is not None:
@@ -107,7 +107,7 @@ def _subjects(
 def _image_subjects(subjects: list[Subject], report: _Report) -> list[Subject]:
     """Return the subjects that a corpus can contain, codecs of single images; reports the others as skipped."""
     for codec in dict.fromkeys(subject.codec for subject in subjects if subject.shape != "pictures"):
-        report.report_unchecked(codec, "skipped", "a corpus holds single pictures, and this codec codes sequences")
+        report.report_unchecked(codec, "skipped", "a corpus contains single images, and this codec codes sequences")
     return [subject for subject in subjects if subject.shape == "pictures"]
 
 

@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 @click.command("warm-up")
 @click.argument("matrices", nargs=-1, metavar="[MATRIX]...", type=click.Path(path_type=Path))
-@click.option("--workers", type=click.IntRange(1), help="Worker processes; default: one for each core.")
+@click.option("--workers", type=click.IntRange(1), help="Worker processes; default: one per core.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="KERNELS",
-    help="Copy the compiled kernels into this folder; where CODECBENCH_KERNELS names it, runs take them from there.",
+    help="Copy the compiled kernels into this folder; runs use them if CODECBENCH_KERNELS names it.",
 )
 @click.option(
     "--record", "packages", multiple=True, metavar="PACKAGE", help="Write the kernels.json of PACKAGE; repeatable."
 )
 def warm_up(matrices: tuple[Path, ...], workers: int | None, out: Path | None, packages: tuple[str, ...]) -> None:
-    """Compile ahead the kernels that runs of each MATRIX will call, or all that installed plugins list.
+    """Compile the kernels that runs of each MATRIX will call, or all that installed plugins list.
 
-    For container images, continuous integration and other machines; a run does the same at its beginning. With
+    For container images, continuous integration and other machines; a run does the same when it starts. With
     --record, do the work of each MATRIX in one process and write down which kernels of each PACKAGE it called.
     """
     out = out and out.absolute()
@@ -74,6 +74,6 @@ def _compile(wanted: WarmUp, workers: int | None) -> None:
 
 def _record(matrices: tuple[Path, ...], packages: tuple[str, ...]) -> None:
     if not matrices:
-        raise click.UsageError("--record needs a MATRIX whose work calls the kernels")
+        raise click.UsageError("--record needs a MATRIX that calls the kernels")
     for path in record_kernels.record_kernels(matrices, packages):
         click.echo(path)

@@ -1,1 +1,1 @@
-"""The paper beside our measurement of it: its tables, its figures, its contradictions."""
+"""The paper compared with our measurements: its tables, its figures, its contradictions."""

@@ -1,4 +1,4 @@
-"""Contradictions in the paper, each beside our measurements. Nothing here is tuned to agree."""
+"""Contradictions in the paper, each with our measurements. Nothing here is tuned to agree."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def contradictions(runs: list[Measured]) -> Iterator[tuple[str, str, list[str]]]
     for title, statement, measure in _CLAIMS:
         measured_runs = runs if measure is _success else runs[:1]
         lines = dict.fromkeys(line for measured in measured_runs for line in measure(measured))
-        yield title, statement, list(lines) or ["nothing of it in these runs"]
+        yield title, statement, list(lines) or ["not measured in these runs"]
 
 
 def _dct(measured: Measured) -> list[str]:

@@ -57,9 +57,8 @@ class Baseline:
         for key in ("encode_operations", "decode_operations"):
             if facts.get(key, 0) > before.get(key, np.inf):
                 more = 100.0 * (facts[key] / before[key] - 1.0)
-                return (
-                    f"{name}: {facts[key]:,} {key.replace('_', ' ')}, {more:+.1f} % of the baseline's {before[key]:,}"
-                )
+                count = f"{facts[key]:,} {key.replace('_', ' ')}"
+                return f"{name}: {count}, {more:.1f} % more than the baseline's {before[key]:,}"
         return ""
 
     def time_complaint(self, name: str, direction: str, call: Callable[[], object]) -> str:
@@ -78,21 +77,21 @@ class Baseline:
             return ""
         baseline = before[key]
         if baseline["processor"] != self._processor:
-            warnings.warn(f"{name}: times of the baseline are of {baseline['processor']}", stacklevel=2)
+            warnings.warn(f"{name}: times not compared, the baseline is from {baseline['processor']}", stacklevel=2)
             return ""
         least = np.inf
         for _ in range(_ATTEMPTS):
             now = relative_time(call, baseline["yardstick_ms"])
             if now is None:
-                warnings.warn(f"{name}: cannot tell whether {direction} is slower, the machine is not as "
-                              "busy as when the baseline was made", stacklevel=2)  # fmt: skip
+                warnings.warn(f"{name}: {direction} time is inconclusive: the machine's load differs from "
+                              "that of the baseline", stacklevel=2)  # fmt: skip
                 return ""
             least = min(least, now.yardsticks / baseline["yardsticks"])
             if least <= 1.0 + self._slower_percent / 100.0:
                 return ""
         slower = 100.0 * (least - 1.0)
         return (
-            f"{name}: {direction} takes {slower:+.1f} % of the baseline's time; {self._slower_percent:g} % is allowed"
+            f"{name}: {direction} takes {slower:.1f} % longer than the baseline; {self._slower_percent:g} % is allowed"
         )
 
     def save(self) -> None:

@@ -67,7 +67,7 @@ def codec_cases(text: str) -> list[CodecCase]:
             registry.ask(loads, "codec", chosen, of=[("codec", chosen)])  # a crash ends another process
             cls = registry.load("codec", chosen)
             if not cls.stateless:
-                raise Unsupported(f"{chosen} codes sequences; these benchmarks are of single pictures")
+                raise Unsupported(f"{chosen} codes sequences; these benchmarks are for single images")
             for example in [setting_from_text(rest)] if rest else cls.examples:
                 codec = cls(cls.params_type.model_validate(example))
                 cases.append(CodecCase(setting_label(chosen, example), codec, _photograph(cls)))

@@ -3,13 +3,13 @@
     pytest --codecbench "mine quality=50" --benchmark-autosave --benchmark-compare --benchmark-compare-fail=min:5%
 
 times encoding and decoding of that setting (several `--codecbench` options give several; without a value, of every
-installed codec of single pictures at its example settings); what a codec searches for on the picture is found before.
-Size, PSNR, operation counts and the codec's version go into `extra_info` of pytest-benchmark, and with
-`--codecbench-baseline FILE` all are compared as well: a larger file, a loss of quality or one operation more fails the
-test whatever the clock says, and so does a time, in units of a yardstick timed in between, that is more than
-`--codecbench-slower` per cent longer. Settings that the file lacks are added to it.
+installed image codec at its example settings). A codec's search on the image runs before and is not timed.
+Size, PSNR, operation counts and the codec's version go into `extra_info` of pytest-benchmark. With
+`--codecbench-baseline FILE`, a larger size, a lower PSNR or more operations fails the test. So does a time, in units of
+a yardstick timed in between, that is more than `--codecbench-slower` per cent longer. Missing settings are added to the
+file.
 
-A test of your own asks for the fixture `codec_under_test` and is run once for each setting.
+Your own tests can use the fixture `codec_under_test`; each runs once for each setting.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--codecbench-baseline",
         metavar="FILE",
-        help="a JSON file of sizes, PSNRs, operations and relative times: compared with what it has; the rest is added",
+        help="JSON file of sizes, PSNRs, operations and relative times to compare with; missing entries are added",
     )
     group.addoption(
         "--codecbench-slower",
         metavar="PERCENT",
         type=float,
         default=7.0,
-        help="how much longer than in the baseline encoding or decoding may take (default: 7)",
+        help="allowed slowdown of encoding or decoding against the baseline (default: 7)",
     )
 
 
@@ -70,7 +70,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture(scope="session")
 def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
-    """The file of `--codecbench-baseline`; at the end of the session, what it lacks is added."""
+    """The file of `--codecbench-baseline`; the end of the session adds missing entries."""
     from codecbench.pytesting.baseline import open_baseline  # this plugin is loaded by every pytest run
 
     option = request.config.getoption("--codecbench-baseline")
@@ -79,7 +79,7 @@ def codec_baseline(request: pytest.FixtureRequest) -> Iterator[Baseline]:
     try:
         baseline.save()
     except OSError as error:
-        pytest.fail(f"{error}: what the baseline lacks was not added to it", pytrace=False)
+        pytest.fail(f"{error}: new entries were not added to the baseline", pytrace=False)
 
 
 def _cases(text: str) -> list[CodecCase]:

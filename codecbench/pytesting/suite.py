@@ -7,8 +7,8 @@
         codec = MyCodec
         settings = [{}, {"quality": 90}]
 
-Every check is a test of its own, run for each setting and each layout that the codec takes; a StreamCodec gets the
-checks for codecs with memory, a FeatureCodec those for codecs of features. The codec must be importable by its
+Every check is a test of its own, run for each setting and each layout that the codec accepts; a StreamCodec gets the
+checks for video codecs, a FeatureCodec those for feature codecs. The codec must be importable by its
 module's name in another process, as an installed package is.
 """
 

@@ -1,1 +1,1 @@
-"""From a recording to an answer in one step: what lies there, a matrix that suits it, a run and its report."""
+"""From a recording to an answer in one step: open it, write a matrix for it, run and report."""

@@ -20,7 +20,7 @@ from codecbench.core.rounds import running
 from codecbench.core.simulation.settings import LinkSettings
 
 MINUTES: Final = 10.0
-"""How long repeats that may decide more are added."""
+"""Time within which additional repeats start."""
 _MATRICES: Final = (".yaml", ".yml", ".json")
 
 
@@ -43,18 +43,18 @@ def choose(
 ) -> list[Candidate]:
     """Judge every codec setting over a link, in order of rate; with several sequences, those over all come first.
 
-    source: a run folder, or a matrix as a file or a dict. Of a matrix whatever the answer needs is run first;
-    evaluators that it lacks are added. out, workers: as of `codecbench.run`. minutes: repeats that may decide more
-    begin only within that time. deadline_ms, share: the largest age of a frame, and the minimum fraction of frames
-    within it. error_m: the largest error. A matrix needs one of the two. device_factor: how many times slower the
-    device encodes than the machine that timed it. Raises ParamsError if a matrix is given without a demand,
+    source: a run folder, or a matrix as a file or a dict. A matrix is run first, as far as the answer needs it, with
+    missing evaluators added. out, workers: as in `codecbench.run`. minutes: additional repeats start only within this
+    time. deadline_ms, share: the maximum age of a frame, and the minimum fraction of frames within it. error_m: the
+    maximum error. A matrix needs one of the two. device_factor: how many times slower the device encodes than the
+    machine that timed it. Raises ParamsError if a matrix is given without a demand,
     CodecbenchError if nothing was measured, PluginError for an unknown link, MatrixError and StoreError.
     """
     demand = Demand(link, deadline_ms, error_m, share, device_factor)
     if not is_matrix(source):
         return candidates(collect.open_nonempty_run(Path(str(source))), demand)
     if deadline_ms is None and error_m is None:
-        raise ParamsError("say what is asked: deadline_ms, error_m or both")
+        raise ParamsError("give deadline_ms, error_m or both")
     extended = link_matrix(source if isinstance(source, Mapping) else Path(source), demand, installed())
     summary = running.run_matrix(extended.matrix, out, workers=workers, minutes=minutes)
     return candidates(collect.open_nonempty_run(summary.folder), extended.demand)
@@ -91,7 +91,7 @@ def link_matrix(source: Path | Mapping[str, Any], demand: Demand, registry: Regi
     given = read_matrix(source, registry) if isinstance(source, Path) else matrix_from(source, registry)
     over_link = [entry for entry in given.evaluators if _is_over(entry, demand.link)]
     if demand.device_factor is not None and any(entry.setting.params.get("encode_ms") for entry in over_link):
-        message = "simulates the time of encoding with encode_ms already: set device_factor there and give none here"
+        message = "already simulates encoding time (encode_ms): set device_factor there and give none here"
         raise MatrixError(f"{given.path}: over {demand.link} it {message}")
     added_items = list(_missing_evaluators(given, over_link, demand))
     root = given.root
@@ -101,16 +101,14 @@ def link_matrix(source: Path | Mapping[str, Any], demand: Demand, registry: Regi
         made = matrix_from(yaml_text(root), registry, folder) if added_items else given
     except MatrixError as error:
         names = ", ".join(item["use"] for item in added_items)
-        message = (
-            f"{given.path}: with {names} added for the link {demand.link} it is no longer sound; add them yourself"
-        )
+        message = f"{given.path}: not valid with {names} added for the link {demand.link}; add them yourself"
         raise MatrixError(f"{message}: {error}") from None
     added = [f"{item['use']} is added{_of_link(item)}" for item in added_items]
     decided = None if made.until or demand.error_m is None else _decision(made, demand)
     if decided is not None:
         root["run"] = {**(root.get("run") or {}), "until": {"decided": decided}}
         made = matrix_from(yaml_text(root), registry, folder)
-        added.append(f"repeats are added until {decided['metric']} is known to be at most {demand.error_m:g} m or not")
+        added.append(f"repeats are added until it is decided if {decided['metric']} is at most {demand.error_m:g} m")
     made = replace(made, name=given.name)
     return LinkMatrix(made, replace(demand, device_factor=None) if simulates else demand, tuple(added))
 

@@ -73,8 +73,8 @@ class Recording:
         if not sizes:
             return f"{self.width}x{self.height}"
         if len(sizes) <= _MOST_SIZES:
-            return f"pictures of {', '.join(sizes[:-1])} and {sizes[-1]}"
-        return f"pictures of {len(sizes)} sizes from {sizes[0]} to {sizes[-1]}"
+            return f"frames of {', '.join(sizes[:-1])} and {sizes[-1]}"
+        return f"frames of {len(sizes)} sizes from {sizes[0]} to {sizes[-1]}"
 
 
 def recognize(registry: Registry, path: Path, given: dict[str, Any]) -> Recording:
@@ -85,15 +85,15 @@ def recognize(registry: Registry, path: Path, given: dict[str, Any]) -> Recordin
     that the dataset does not have.
     """
     if not path.exists():
-        raise DatasetError(f"{path}: there is no such file or folder")
+        raise DatasetError(f"{path}: no such file or folder")
     matches = [(plugin, answer) for plugin in registry.plugins("dataset") if plugin.missing is None
              if (answer := _ask_recognition(registry, plugin.spec.name, path)) is not None]  # fmt: skip
     if not matches:
         names = ", ".join(plugin.spec.name for plugin in registry.plugins("dataset"))
         unusable = [str(plugin.missing) for plugin in registry.plugins("dataset") if plugin.missing is not None]
-        hint = f"; not asked: {'; '.join(unusable)}" if unusable else ""
+        hint = f"; not tried: {'; '.join(unusable)}" if unusable else ""
         raise DatasetError(
-            f"{path}: {describe_contents(path)}, which no dataset recognises ({names}); name a folder of pictures "
+            f"{path}: {describe_contents(path)}, which no dataset recognizes ({names}); give a folder of images "
             f"({', '.join(EXTENSIONS)}), a video, a TUM, KITTI or EuRoC folder, or a ROS bag{hint}"
         )
     plugin, (_, params) = min(matches, key=lambda pair: pair[1][0])
@@ -125,7 +125,7 @@ def params_without(params: dict[str, Any], without: dict[str, Any]) -> dict[str,
 
 
 def describe_left_out(error: DatasetError) -> str:
-    """Say what is wrong, and which parameters leave it out."""
+    """Describe what is wrong, and which parameters leave it out."""
     return f"{error.what}; left out ({error.settings})"
 
 
@@ -142,9 +142,9 @@ def unreadable_frames(registry: Registry, name: str, params: dict[str, Any], fra
 
 
 def describe_contents(path: Path) -> str:
-    """Describe a path that is no recording, such as `holds no pictures but 3 files such as a.txt`."""
+    """Describe a path that is no recording, such as `contains no images but 3 files such as a.txt`."""
     if path.suffix.lower() in EXTENSIONS:
-        return "is a single picture"
+        return "is a single image"
     try:
         if path.is_dir():
             return _describe_folder(sorted(path.iterdir()))
@@ -162,10 +162,10 @@ def _describe_folder(entries: list[Path]) -> str:
         return "is an empty folder"
     for folder in filter(Path.is_dir, entries):
         if any(file.suffix.lower() in EXTENSIONS for file in folder.iterdir()):
-            return f"holds no pictures, but its folder {folder.name} does"
+            return f"contains no images, but its folder {folder.name} does"
     files = [entry.name for entry in entries if entry.is_file()]
     what = f"{counted(len(files), 'file')} such as {files[0]}" if files else counted(len(entries), "folder")
-    return f"holds no pictures but {what}"
+    return f"contains no images but {what}"
 
 
 def _is_text(head: bytes) -> bool:

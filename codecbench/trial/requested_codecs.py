@@ -86,7 +86,7 @@ def _span(registry: Registry, codec: str, key: str, text: str, steps_wanted: int
     try:
         first, last = float(match["first"]), float(match["last"])
     except ValueError:
-        raise ParamsError(f"--codec {codec}: {text!r} is no range; write FIRST..LAST, such as 5..90") from None
+        raise ParamsError(f"--codec {codec}: {text!r} is not a range; write FIRST..LAST, such as 5..90") from None
     count = int(match["count"] or steps_wanted)
     if not 2 <= count <= 100:
         raise ParamsError(f"--codec {codec}: {text!r} has {count} steps; 2 to 100 are possible")
@@ -114,7 +114,7 @@ def _first_number(registry: Registry, codec: str) -> str:
     for key in properties:
         if _json_types(registry, codec, key) & {"integer", "number"}:
             return str(key)
-    raise ParamsError(f"--codec {codec}: it has no parameter that is a number; `codecbench schema codec:{codec}`")
+    raise ParamsError(f"--codec {codec}: it has no numeric parameter; see `codecbench schema codec:{codec}`")
 
 
 def _json_types(registry: Registry, codec: str, key: str) -> set[str]:

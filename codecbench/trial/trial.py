@@ -1,4 +1,4 @@
-"""`codecbench.trial`, which does for Python what `codecbench try` does: open a recording, fit a matrix, run it."""
+"""`codecbench.trial`, the Python form of `codecbench try`: open a recording, fit a matrix, run it."""
 
 from __future__ import annotations
 
@@ -42,17 +42,16 @@ def open_recording(
     given = {**(params or {}), **({} if fov_deg is None else {"fov_deg": fov_deg})}
     recording = recognize(registry, path, given)
     if recording.sizes and recording.has_camera:
-        raise DatasetError(f"{path}: its pictures differ in size, and a camera has one; leave out what gives it")
+        raise DatasetError(f"{path}: its frames differ in size, and a camera has one size; omit the camera")
     added: dict[str, Any] = {}
     assumed: list[str] = []
     for name, value in recording.suited.items():
         if name not in given and name in recording.settable:
             added[name] = value
-            assumed.append(f"{name}={json.dumps(value)} suits what was found and is set (--set {name}=... for another)")
+            assumed.append(f"{name}={json.dumps(value)} is set to suit the recording (--set {name}=... for another)")
     if (exif_fov_deg := _exif_fov_deg(recording, path)) is not None:
         added["fov_deg"] = exif_fov_deg
-        view = f"its pictures note a focal length that sees {exif_fov_deg:g} degrees (EXIF)"
-        assumed.append(f"{view}, which is taken for the camera")
+        assumed.append(f"the camera's field of view is {exif_fov_deg:g} degrees, from the focal length in EXIF")
     if not added:
         return recording
     reopened = recognize(registry, path, {**given, **added})
@@ -88,7 +87,7 @@ def fit_matrix(
             params = params_without(params, error[1])
         recording = replace(recording, params=params, frames=recording.frames - len(faults))
     if (rest := len(left_out) - MOST_LISTED) > 0:
-        left_out[MOST_LISTED:] = [f"{counted(rest, 'more frame')} left out for such reasons (`skip`)"]
+        left_out[MOST_LISTED:] = [f"{counted(rest, 'more frame')} left out for similar reasons (`skip`)"]
     return replace(matrix, choices=(*left_out, *matrix.choices))
 
 
@@ -113,7 +112,7 @@ def trial(
     """Try codecs on the recording at `path` and return the results.
 
     codecs: such as `jpeg:5..90`; aim: `tracking`, `quality` or `speed`; minutes: about how long it may take, by default
-    5 for tracking and else 2.5; the rest as of `open_recording` and `codecbench.run`. Raises DatasetError, ParamsError,
+    5 for tracking and else 2.5; the rest as in `open_recording` and `codecbench.run`. Raises DatasetError, ParamsError,
     MatrixError and Unsupported.
     """
     registry = installed()

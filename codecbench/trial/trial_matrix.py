@@ -103,11 +103,11 @@ def trial_matrix(
         )
     if aim == "tracking" and not recording.has_ground_truth:
         chosen.append(
-            "there is no ground truth: the paths that SLAM finds on raw pictures stand in for it, as far as they agree"
+            "there is no ground truth: SLAM trajectories on raw frames are the reference, as far as they agree"
         )
     if recording.sizes and not codecs:
         names = ", ".join(text.partition(":")[0] for text in _USUAL if _is_video_codec(registry, text))
-        chosen.append(f"codecs with memory ({names}) are left out: they need pictures of one size")
+        chosen.append(f"video codecs ({names}) are left out: they need frames of one size")
     draft = _fit_to_time(registry, recording, list(codecs), aim, minutes, chosen)
     settings = len({cell.codec for cell in draft.plan.cells})
     compiles = draft.pace.compiling_s > 0.0
@@ -135,7 +135,7 @@ def _fit_to_time(
         left_out.append(texts.pop().partition(":")[0])
         draft = make_draft()
     if left_out:
-        chosen.append(f"left out for lack of time (--minutes): {', '.join(left_out)}")
+        chosen.append(f"left out to save time (--minutes): {', '.join(left_out)}")
     about = f"about {minutes:g} minute{'' if minutes == 1 else 's'} (--minutes)"
     if draft.seconds > budget_s:
         which = f"the first {draft.frames:,} of" if draft.frames < recording.frames else "all"
@@ -148,8 +148,8 @@ def _fit_to_time(
     share = (budget_s - draft.seconds) / (whole.seconds - draft.seconds)
     draft = replace(draft, frames=draft.frames + int(share * (recording.frames - draft.frames)))
     chosen.append(
-        f"the first {draft.frames:,} of {counted(recording.frames, 'frame')}, to be done in {about}; "
-        f"the other frames are not looked at"
+        f"the first {draft.frames:,} of {counted(recording.frames, 'frame')}, to finish in {about}; "
+        f"the other frames are not used"
     )
     return draft
 
@@ -157,8 +157,8 @@ def _fit_to_time(
 def _explain_aim(aim: Purpose, recording: Recording) -> str:
     """Explain the aim; if one parameter would make it tracking, say which."""
     if aim == "tracking":
-        return "the camera is known, so codecs are judged by what SLAM makes of their pictures (--for tracking)"
-    judgment = "so codecs are judged by pictures and features (--for quality)"
+        return "the camera is known, so codecs are judged by SLAM on their frames (--for tracking)"
+    judgment = "so codecs are judged by image quality and features (--for quality)"
     if recording.has_camera:
         verb = "is" if recording.frames == 1 else "are"
         return f"{counted(recording.frames, 'frame')} {verb} too few for SLAM, {judgment}"
@@ -215,7 +215,7 @@ class _Draft:
         cells = [cell for cell in plan.cells if cell.unsupported is None]
         if not cells:
             reasons = "; ".join(dict.fromkeys(str(cell.unsupported) for cell in plan.cells))
-            raise CodecbenchError(f"nothing of this can be run here: {reasons}")
+            raise CodecbenchError(f"no cell can run here: {reasons}")
         pixels = max(self.recording.width * self.recording.height / _TYPICAL_PIXELS, 0.2)
         typical_s = estimate(plan, cells, len(plan.jobs), {}).seconds - START_S
         reads = self.frames * (len(plan.jobs) + sum(not cell.exclusive for cell in cells))
@@ -249,12 +249,12 @@ class _Draft:
             f"  - use: {recording.dataset}",
             f"    params: {_flow(params)}",
             "codecs:",
-            "  - raw  # the pictures as they are: every task is judged beside them",
+            "  - raw  # uncompressed frames, the baseline of every task",
         ]
         for codec in self.codecs:
             lines.append(f"  - use: {codec.name}")
             if codec.searched:
-                lines.append(f"    search: {PASSES}  # the coarsest of these that does; without it all are run")
+                lines.append(f"    search: {PASSES}  # find the coarsest that passes; without this line all are run")
             if codec.values:
                 lines.append(f"    params: {_flow({key: _values(span) for key, span in codec.values.items()})}")
         without_truth = self.aim == "tracking" and not recording.has_ground_truth
@@ -262,9 +262,9 @@ class _Draft:
         return "\n".join(lines) + "\n"
 
 
-_QUALITY: Final = "  - quality  # bits a pixel, PSNR, SSIM"
-_PLACES: Final = "  - localization  # where each frame is in a map of the raw ones"
-_FEATURES: Final = "  - features  # what a tracker's keypoints lose"
+_QUALITY: Final = "  - quality  # bits per pixel, PSNR, SSIM"
+_PLACES: Final = "  - localization  # poses of frames in a map of raw frames"
+_FEATURES: Final = "  - features  # keypoint repeatability"
 
 
 def _tries(settings: int) -> int:
@@ -276,7 +276,7 @@ _EVALUATORS: Final[dict[str, list[str]]] = {
     "tracking": [
         _QUALITY,
         _PLACES,
-        "  - use: trajectory  # what SLAM makes of the camera's path, from several starts: single runs scatter",
+        "  - use: trajectory  # SLAM error from several start offsets, because single runs vary",
         f"    params: {{start_offsets: {list(_STARTS)}}}",
         "  - use: timing",
         "    params: {frames: 5, repeats: 3}",

@@ -21,11 +21,11 @@ def test_a_quantity_is_a_number_with_a_unit(text: str, value_ms: float) -> None:
 
 @pytest.mark.parametrize("text", ["100", "ms", "-5ms", "0ms", "5m", "1e3ms", "five ms"])
 def test_anything_else_is_refused(text: str) -> None:
-    with pytest.raises(click.BadParameter, match="is not a positive number with one of ms, s"):
+    with pytest.raises(click.BadParameter, match="positive number"):
         TIME(text)
 
 
-def test_of_a_matrix_a_link_and_something_else_must_be_asked(tmp_path: Path) -> None:
+def test_a_matrix_needs_a_link_and_a_demand(tmp_path: Path) -> None:
     matrix = tmp_path / "matrix.yaml"
     matrix.write_text("version: 1\n")
     for given, wanted in ((["--error", "5cm"], "--link"), (["--link", "lte"], "--deadline, --error or both")):
@@ -34,7 +34,7 @@ def test_of_a_matrix_a_link_and_something_else_must_be_asked(tmp_path: Path) -> 
         assert wanted in result.output
 
 
-def test_the_last_line_says_what_to_use_over_each_link_or_why_nothing(
+def test_the_last_lines_recommend_a_setting_for_each_link_or_give_the_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A room over a link that changes nothing, and over one that lets hardly a frame through."""
@@ -56,18 +56,24 @@ def test_the_last_line_says_what_to_use_over_each_link_or_why_nothing(
     *tables, use, nothing = result.stdout.splitlines()
     ideal, slow = "\n".join(tables).rstrip().split("\n\n")
     title, heads, row = ideal.splitlines()
-    assert title == "The pick of each codec over ideal, room-0.5, an error of at most 0.5 m"
+    assert_facts(title, "over ideal", "room-0.5", "0.5 m")
     assert heads.split()[:4] == ["codec", "setting", "Mbit/s", "error"]
     assert row.split()[:2] == ["jpeg", "quality=40"]
     assert row.split()[-3:] == ["4/4", "none", "tried"]
-    assert slow.startswith("The pick of each codec over underwater_acoustic, room-0.5, an error of at most 0.5 m")
-    assert " 0/4 " in slow
-    assert " fails: " in slow
-    assert use.startswith("Over ideal use jpeg quality=40: ")
-    assert " Mbit/s at 30 fps (" in use
-    assert " GB/h); passes in 4 of 4 runs (at least 51 % at 95 %): error 0." in use
-    assert use.endswith(" of the moments (50 % needed).")
-    assert nothing == (
-        "Nothing passes over underwater_acoustic, because 1 of 1 settings have a fresh pose too seldom, such as "
-        "jpeg quality=40 (a pose no older than 0.5 s at 0 % of the moments < 50 %)."
+    assert_facts(slow, "over underwater_acoustic", " 0/4 ", " fails: ")
+    assert_facts(
+        use,
+        "ideal use jpeg quality=40: ",
+        " Mbit/s at 30 fps (",
+        " GB/h)",
+        "4 of 4 runs",
+        "51 % at 95 %",
+        "50 % needed",
     )
+    assert_facts(
+        nothing, "Nothing passes", "underwater_acoustic", "1 of 1 ", "jpeg quality=40", "0.5 s at 0 %", "< 50 %"
+    )
+
+
+def assert_facts(line: str, *facts: str) -> None:
+    assert [fact for fact in facts if fact not in line] == [], line

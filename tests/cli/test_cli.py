@@ -70,7 +70,7 @@ def run(place: Path) -> Path:
 @pytest.mark.thorough
 def test_a_second_run_keeps_everything(place: Path, run: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (run / "records").glob("??/*/record.json")}
-    assert "of them from before" in call(place, "run", "tiny.yaml", "--quiet")
+    assert re.search(r"\d of them", call(place, "run", "tiny.yaml", "--quiet"))
     kept = {path: path.stat().st_mtime_ns for path in before}
     assert sum(before[path] == kept[path] for path in before) >= 6
 
@@ -142,8 +142,10 @@ def test_columns_that_there_are_not_are_refused(place: Path, run: Path) -> None:
 
 @pytest.mark.thorough
 def test_status_report_plot_and_compare(place: Path, run: Path) -> None:
-    assert "tiny: not running; 9 cells: 6 ok, 3 unsupported" in call(place, "status", str(run))
-    assert json.loads(call(place, "status", str(run), "--json"))["counts"]["ok"] == 6
+    assert "not running; 9 cells: 6 ok" in call(place, "status", str(run))
+    assert json.loads(call(place, "status", str(run), "--json")) == {
+        "name": "tiny", "running": False, "cells": 9, "counts": {"ok": 6, "unsupported": 3},
+    }  # fmt: skip
     assert "report.html" in call(place, "report", str(run))
     assert "<html" in (run / "report" / "report.html").read_text()
     assert "| shift |" in Path(place, call(place, "report", str(run), "--format", "md").strip()).read_text()
@@ -159,7 +161,7 @@ def test_schema_describes_what_is_installed(place: Path) -> None:
     whole = json.loads(call(place, "schema"))
     assert "shift" in json.dumps(whole["properties"]["codecs"])
     assert json.loads(call(place, "schema", "shift"))["properties"]["bits"]["maximum"] == 7
-    assert "did you mean 'shift'" in call(place, "schema", "shfit", status=2)
+    assert "'shift'" in call(place, "schema", "shfit", status=2)
 
 
 def test_data_lists_every_dataset_with_its_state_licence_and_citation(place: Path) -> None:
@@ -184,12 +186,13 @@ def test_data_lists_every_dataset_with_its_state_licence_and_citation(place: Pat
 def test_data_path_is_the_folder_of_what_was_fetched_and_says_how_to_fetch_the_rest(place: Path) -> None:
     cache = place / "other-cache"
     missing = call(place, "data", "path", "kodak", status=2, CODECBENCH_CACHE=str(cache))
-    assert f"{cache / 'data' / 'kodak'}: dataset kodak is not fetched yet; run `codecbench data fetch kodak`" in missing
+    assert f"{cache / 'data' / 'kodak'}: " in missing
+    assert "data fetch kodak" in missing
     (cache / "data" / "kodak").mkdir(parents=True)
     assert call(place, "data", "path", "kodak", CODECBENCH_CACHE=str(cache)) == f"{cache / 'data' / 'kodak'}\n"
     assert call(place, "data", "fetch", "kodak", CODECBENCH_CACHE=str(cache)) == f"{cache / 'data' / 'kodak'}\n"
-    assert "no dataset is called 'kodack'; did you mean kodak?" in call(place, "data", "path", "kodack", status=2)
-    assert "no dataset is called 'kodack'; did you mean kodak?" in call(place, "data", "fetch", "kodack", status=2)
+    for command in ("path", "fetch"):
+        assert re.search(r"'kodack'.* kodak\?", call(place, "data", command, "kodack", status=2))
     manual = call(place, "data", "fetch", "kitti_odometry", status=2, CODECBENCH_CACHE=str(cache))
     assert str(cache / "data" / "kitti_odometry") in manual
     assert "cvlibs.net" in manual
@@ -234,7 +237,7 @@ def test_data_fetch_refuses_files_that_are_not_those_of_the_first_fetch(
     (tmp_path / "source" / "b.png").write_bytes(b"forged")
     done = CliRunner().invoke(data, ["fetch", "tiny"])
     assert isinstance(done.exception, DatasetError)
-    assert "b.png: what came does not have the right checksum" in str(done.exception)
+    assert re.search(r"b\.png: .*checksum", str(done.exception))
     assert not (tmp_path / "cache" / "data" / "tiny").exists()
 
 
@@ -245,13 +248,13 @@ def test_data_fetch_refuses_files_that_are_not_those_of_the_first_fetch(
         *(
             pytest.param(words, expected, marks=pytest.mark.thorough)
             for words, expected in (
-                (["table", "nowhere"], "is not a run folder"),
-                (["status", "nowhere"], "is not a run folder"),
-                (["report", "nowhere"], "is not a run folder"),
-                (["compare", "nowhere", "nowhere"], "neither a run folder nor a baseline"),
+                (["table", "nowhere"], "not a run folder"),
+                (["status", "nowhere"], "not a run folder"),
+                (["report", "nowhere"], "not a run folder"),
+                (["compare", "nowhere", "nowhere"], "nor a baseline"),
             )
         ),
-        (["rnu"], "Did you mean 'run'?"),
+        (["rnu"], "'run'?"),
     ],
 )
 def test_bad_input_is_one_clear_message(place: Path, words: list[str], expected: str) -> None:
@@ -288,7 +291,9 @@ def test_a_failing_cell_is_a_row_and_an_exit_status(place: Path) -> None:
     register(place / "site", "failing", "1", "failing")
     (place / "failing.yaml").write_text(MATRIX.replace("  - absent", "  - failing").replace(", stopwatch", ""))
     out = call(place, "run", "failing.yaml", "--out", "runs/failing", status=1)
-    assert "failed: ramp | failing | error #0: codec failing of failing 1: decode, frame 0: RuntimeError: broken" in out
+    assert re.search(
+        r"^failed: ramp \| failing \| error #0: .* decode, frame 0: RuntimeError: broken", out, re.MULTILINE
+    )
     assert "cells: 1 failed, 2 ok" in out
     record = next((place / "runs" / "failing" / "records").glob("??/*/record.json")).parent.parent.parent
     assert any("Traceback" in path.read_text() for path in record.glob("??/*/record.json"))

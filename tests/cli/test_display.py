@@ -85,17 +85,16 @@ def test_nothing_of_that_on_a_terminal_or_when_told_to_be_quiet(
     assert capsys.readouterr().err == ""
 
 
-def test_a_reason_is_said_once_and_then_counted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_reason_is_printed_once_and_then_counted(capsys: pytest.CaptureFixture[str]) -> None:
     cell = SimpleNamespace(
         sequence=SimpleNamespace(name="walk"), codec=SimpleNamespace(name="jpeg", label="quality=5"),
         evaluator=SimpleNamespace(name="quality"), repeat=0,
     )  # fmt: skip
     with Display(Screen(file=io.StringIO()), keep_going=True) as shown:
-        for reason in ("4.png is damaged", "no memory", *["4.png is damaged"] * 3):
+        for reason in ("damaged", "no memory", *["damaged"] * 3):
             record = Record("a", "failed", reason)
             shown.show(replace(MOMENT, cell=cell, record=record))  # type: ignore[arg-type]
-    assert capsys.readouterr().err.splitlines() == [
-        "failed: walk | jpeg quality=5 | quality #0: 4.png is damaged",
-        "failed: walk | jpeg quality=5 | quality #0: no memory",
-        "3 more cells have no result for the reason of walk | jpeg quality=5 | quality #0",
-    ]
+    *first, others = capsys.readouterr().err.splitlines()
+    name = "walk | jpeg quality=5 | quality #0"
+    assert first == [f"failed: {name}: damaged", f"failed: {name}: no memory"]
+    assert (others.split()[0], others.endswith(name)) == ("3", True)

@@ -117,7 +117,7 @@ def test_a_crashing_codec_is_rows_and_an_exit_status_and_the_rest_is_computed(ra
     assert ran.status == 1, ran.output
     assert "Traceback" not in ran.output
     assert "cells: 1 crashed, 1 failed, 46 ok, 6 unsupported" in ran.stdout
-    assert "codec crashing of crashing 1: decode, frame 0: RuntimeError: broken on purpose" in ran.stderr
+    assert "decode, frame 0: RuntimeError: broken" in ran.stderr
     died = r"^crashed: synthetic \| crashing bits=1 .*codec crashing of crashing 1: .*it ended its process by SIGSEGV$"
     assert re.search(died, ran.stderr, re.MULTILINE)
     table = ran.stdout.partition("Every setting of small\n")[2].partition("\nIn all rows: sequence synthetic")[0]
@@ -151,20 +151,20 @@ def test_a_run_that_was_killed_goes_on_and_computes_nothing_twice(place: Place, 
         "encoded 0", "encoded 1", "encoded 3", "measured 0", "measured 1",
     ]  # fmt: skip
     (tmp_path / "open").touch()
-    assert "cells: 3 ok, 2 of them from before" in succeeded(place, "run", "killed.yaml", GATE=str(tmp_path))
+    assert "cells: 3 ok, 2 of them" in succeeded(place, "run", "killed.yaml", GATE=str(tmp_path))
     assert notes.read_text().endswith("measured 3\n")
     assert len(notes.read_text().split("\n")[:-1]) == 6, "the last cell is all that was computed"
 
 
-def test_a_task_that_every_setting_does_alike_ranks_nobody(place: Place, run: str) -> None:
-    """Over the ideal link every frame is there at once."""
-    said = succeeded(place, "rank", run, "--all")
-    assert "synthetic: frames before the deadline\nUninformative here: all settings of a codec are alike." in said
+def test_a_task_with_equal_results_for_all_settings_ranks_no_codec(place: Place, run: str) -> None:
+    """Over the ideal link every frame arrives at once."""
+    printed = succeeded(place, "rank", run, "--all")
+    assert re.search(r"^synthetic: frames .*\nUninformative", printed, re.MULTILINE)
 
 
 def test_a_setting_is_chosen_for_a_link(place: Place, run: str) -> None:
-    said = succeeded(place, "choose", run, "--link", "ideal", "--deadline", "10ms")
-    assert "Over ideal use jpeg2000 cr_percent=97" in said
+    printed = succeeded(place, "choose", run, "--link", "ideal", "--deadline", "10ms")
+    assert "use jpeg2000 cr_percent=97" in printed
 
 
 def test_a_report_is_a_page(place: Place, run: str) -> None:
@@ -186,6 +186,6 @@ def test_a_recording_is_tried(place: Place) -> None:
     words = ["try", "recording", "--codec", "jpeg:10", "--for", "speed", "--workers", "1", "--out", "tried"]
     done = place.call(*words, timeout=600)
     assert done.status == 0, done.output
-    assert "folder of images, 3 frames, 48x32" in done.output
+    assert "3 frames, 48x32" in done.output
     (report,) = re.findall(r"the report: file://(.*)", done.output)
     assert Path(report).stat().st_size > 10_000

@@ -122,9 +122,9 @@ def test_an_ivf_file_has_the_times_of_its_frame_rate(codec_class: Any) -> None:
 
 def test_a_file_that_takes_no_such_codec_is_refused() -> None:
     packets = packets_of(H264.create(), gliding_pictures(2, 96, 128, 1))
-    with pytest.raises(ParamsError, match=r"x.hevc: .hevc does not support h264"):
+    with pytest.raises(ParamsError, match=r"^x\.hevc: .* h264"):
         file_from_packets(H264.create(), packets, 30, "x.hevc")
-    with pytest.raises(ParamsError, match=r"x.avi: .avi is not one of .mp4, .mkv"):
+    with pytest.raises(ParamsError, match=r"^x\.avi: .* \.mp4, \.mkv"):
         file_from_packets(H264.create(), packets, 30, "x.avi")
 
 
@@ -197,16 +197,16 @@ def test_bitstreams_of_pictures_become_a_file_each(run: Path, tmp_path: Path) ->
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "fact"),
     [
-        (["--codec", "h264", "--out", "x.mp4"], "several are meant; say which by --setting and --sequence: h264"),
-        (["--codec", "h264", "--setting", "gop=5", "--out", "x.mp4"], "the run has no h264 gop=5"),
-        (["--codec", "jpeg", "--out", "x.mkv"], "jpeg codes pictures on their own, which are no video"),
-        (["--codec", "jpeg", "--sequence", "elsewhere", "--out", "x"], "the run has no jpeg"),
-        (["--codec", "jpeg", "--out", "."], "is there already"),
+        (["--codec", "h264", "--out", "x.mp4"], "--setting and --sequence: h264"),
+        (["--codec", "h264", "--setting", "gop=5", "--out", "x.mp4"], "no h264 gop=5"),
+        (["--codec", "jpeg", "--out", "x.mkv"], "not a video codec"),
+        (["--codec", "jpeg", "--sequence", "elsewhere", "--out", "x"], "on elsewhere"),
+        (["--codec", "jpeg", "--out", "."], "already exists"),
     ],
 )
-def test_what_is_not_there_or_does_not_fit_is_said(run: Path, words: list[str], said: str) -> None:
+def test_wrong_options_are_usage_errors(run: Path, words: list[str], fact: str) -> None:
     done = export(run, *words)
     assert done.exit_code == 2
-    assert said in done.output
+    assert fact in done.output

@@ -54,12 +54,12 @@ def test_the_program_of_the_page_runs(place: Place) -> None:
 
 
 def test_a_report_is_written_and_the_matrix_can_be_run_again(place: Place) -> None:
-    said = succeeded(place.call("try", "pictures", "--codec", "jpeg:10", "--for", "speed", "--out", "run"))
-    assert "folder of images, 12 frames, 128x96" in said
-    (report,) = re.findall(r"the report: file://(.*)", said)
+    printed = succeeded(place.call("try", "pictures", "--codec", "jpeg:10", "--for", "speed", "--out", "run"))
+    assert "12 frames, 128x96" in printed
+    (report,) = re.findall(r"the report: file://(.*)", printed)
     assert Path(report).stat().st_size > 10_000
     again = succeeded(place.call("run", "run/matrix.yaml", "--out", "run"))
-    assert "of them from before" in again
+    assert re.search(r"\d of them", again)
 
 
 @pytest.mark.slow

@@ -201,7 +201,7 @@ def test_the_tutorial_codec_passes_as_its_author_would_see(tmp_path: Path) -> No
         (("--settings", "quality=5"), "exactly one CODEC"),
         (("jpeg", "--settings", "quality=500"), "less than or equal to 100"),
         (("jpeg", "--only", "nothing"), "'nothing' is not one of"),
-        (("--write-corpus", "a", "--check-corpus", "b"), "two runs"),
+        (("--write-corpus", "a", "--check-corpus", "b"), "not both"),
     ],
 )
 def test_usage_errors_say_what_is_wrong(arguments: tuple[str, ...], said: str) -> None:
@@ -410,5 +410,5 @@ def test_a_corpus_is_written_without_codecs_with_memory_which_are_named(tmp_path
     pytest.importorskip("av", reason="the extra `video` is not installed")
     done = verify("raw", "mjpeg", "--write-corpus", str(tmp_path / "corpus"))
     assert done.exit_code == 0, done.output
-    assert "a corpus holds single pictures, and this codec codes sequences" in done.output
+    assert "single images" in done.output
     assert {entry.codec for entry in read_manifest(tmp_path / "corpus")} == {"raw"}

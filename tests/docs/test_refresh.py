@@ -82,10 +82,9 @@ def test_a_block_lags_when_a_plugin_has_another_version(root: Path, monkeypatch:
     page = root / "docs" / "performance.md"
     version = today("codec", "png")
     assert f"png@{version}" in page.read_text()
-    assert [line for line in jobs.check(root) if "performance.md: codecs" in line] == [
-        f"docs/performance.md: codecs: made by codec png {version}, which is 99 today; "
-        "make it again: python docs/refresh benchmarks"
-    ]
+    (line,) = (line for line in jobs.check(root) if line.startswith("docs/performance.md: codecs: "))
+    for fact in (f" png {version}, ", " 99 today", ": python docs/refresh benchmarks"):
+        assert fact in line
 
 
 def test_a_new_release_of_a_library_makes_no_block_lag(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -138,8 +138,8 @@ def test_a_slowdown_that_pytest_benchmark_allows_is_caught_in_units_of_the_yards
     repository.edit(once, f"({once}, {once})[1]")
     arguments = ["--codecbench", "posterize bits=8", "--codecbench-baseline", "baseline.json"]
     done = repository.pytest(*arguments, options=QUICK.replace("=60", "=30"))
-    told = done.stdout + done.stderr
-    assert re.search(r"bits=8: encode takes \+\d+\.\d %", told) or ("whether encode is" in told), told
+    output = done.stdout + done.stderr
+    assert re.search(r"bits=8: encode takes \d+\.\d % longer|encode time is inconclusive", output), output
 
 
 def test_a_new_setting_joins_the_baseline(repository: Repository) -> None:
@@ -154,26 +154,23 @@ FACTS = {"codec": "mine q=1", "version": "1", "size_bytes": 900, "psnr_db": 31.5
 
 
 @pytest.mark.parametrize(
-    ("changed", "complaint"),
+    ("changed", "numbers"),
     [
-        ({}, ""),
-        ({"size_bytes": 899, "psnr_db": 31.6, "encode_operations": 999_999}, ""),
-        ({"size_bytes": 901}, "mine q=1: 901 bytes; the baseline has 900"),
-        ({"psnr_db": 31.4}, r"mine q=1: PSNR 31\.4 dB; .* 31\.5 dB"),
-        (
-            {"encode_operations": 1_100_000},
-            r"mine q=1: 1,100,000 encode operations, \+10\.0 % .* 1,000,000",
-        ),
+        ({}, []),
+        ({"size_bytes": 899, "psnr_db": 31.6, "encode_operations": 999_999}, []),
+        ({"size_bytes": 901}, ["901", "900"]),
+        ({"psnr_db": 31.4}, ["31.4", "31.5"]),
+        ({"encode_operations": 1_100_000}, ["1,100,000", "10.0", "1,000,000"]),
     ],
 )
 def test_sizes_psnrs_and_operations_are_compared_exactly(
-    tmp_path: Path, changed: dict[str, float], complaint: str
+    tmp_path: Path, changed: dict[str, float], numbers: list[str]
 ) -> None:
     first = Baseline(tmp_path / "baseline.json", 7.0, "one processor")
     assert first.complaint(FACTS) == ""
     first.save()
-    told = Baseline(tmp_path / "baseline.json", 7.0, "one processor").complaint({**FACTS, **changed})
-    assert re.fullmatch(complaint, told)
+    complaint = Baseline(tmp_path / "baseline.json", 7.0, "one processor").complaint({**FACTS, **changed})
+    assert re.findall(r"\d[\d.,]*", complaint.removeprefix("mine q=1: ")) == numbers
 
 
 def test_times_of_another_processor_are_a_warning(tmp_path: Path) -> None:

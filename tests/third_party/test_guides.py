@@ -104,7 +104,7 @@ def test_frames_of_a_dataset_are_known_again_and_wrong_ones_refused(
     assert "  - use: npy\n" in call("init", "--from", "frames.npy", "--codec", "png", "--out", "-")
     assert "one NumPy file" in call("list", "datasets")
     call("run", "matrix.yaml", "--quiet", "--out", "run")
-    assert "them from before" in call("run", "matrix.yaml", "--quiet", "--out", "run")
+    assert "of them from" in call("run", "matrix.yaml", "--quiet", "--out", "run")
     np.save(tmp_path / "frames.npy", frames.astype(np.float32))
     assert "float32 (5, 24, 32, 3); allowed: uint8" in call("run", "matrix.yaml", "--out", "other", status=2)
 

@@ -81,7 +81,7 @@ def test_a_device_is_simulated_where_nothing_is_there_yet(tmp_path: Path) -> Non
     there = made(tmp_path, asked, "  - quality\n  - {use: delivery, params: {link: lte}}\n")
     assert [name for name, _ in evaluators(there)] == ["quality", "delivery", "timing"]
     assert there.demand.device_factor == 4.0
-    with pytest.raises(MatrixError, match="over lte it simulates the time of encoding with encode_ms already"):
+    with pytest.raises(MatrixError, match=r"over lte .*\(encode_ms\)"):
         made(tmp_path, asked, "  - {use: delivery, params: {link: lte, encode_ms: 5}}\n")
 
 
@@ -90,19 +90,18 @@ def test_the_own_until_stays(tmp_path: Path) -> None:
     found = made(tmp_path, BOTH, own, "run: {until: {decided: {metric: encode_cpu_ms, max: 5}}}\n")
     assert found.matrix.until is not None
     assert found.matrix.until.metric.name == "encode_cpu_ms"
-    with pytest.raises(
-        MatrixError, match="with delivery, trajectory added for the link wifi_edge it is no longer sound"
-    ):
+    with pytest.raises(MatrixError, match=r"delivery, trajectory .* wifi_edge"):
         made(tmp_path, BOTH, own, "run: {until: {decided: {metric: trajectory.ate_rmse_m, max: 1}}}\n")
 
 
 def test_a_link_that_is_not_known_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PluginError, match="no link is called 'wifi_egde'"):
+    with pytest.raises(PluginError, match="'wifi_egde'"):
         made(tmp_path, Demand("wifi_egde", deadline_ms=100), "  - quality\n")
 
 
 def test_a_dict_is_a_matrix_too() -> None:
     content = {"version": 1, "sequences": ["synthetic"], "codecs": ["jpeg"], "evaluators": ["quality"]}
     assert is_matrix(content)
-    assert link_matrix(content, Demand("ideal", deadline_ms=9), installed()).added == ("delivery is added over ideal",)
+    (added,) = link_matrix(content, Demand("ideal", deadline_ms=9), installed()).added
+    assert {"delivery", "ideal"} <= set(added.split())
     assert not is_matrix("runs/link")

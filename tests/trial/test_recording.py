@@ -1,4 +1,4 @@
-"""What lies at a path: each layout made small, and told from the others."""
+"""Recognition of recordings: a small example of each layout."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from codecbench.trial.recording import recognize
 from codecbench.trial.trial import fit_matrix, open_recording
 
 
-def test_each_layout_is_told_from_the_others(tmp_path: Path) -> None:
+def test_each_layout_is_recognized(tmp_path: Path) -> None:
     pictures(tmp_path / "pictures", ["1.png", "2.png", "10.png"])
     writer = cv2.VideoWriter(str(tmp_path / "drive.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (48, 32))
     for _ in range(4):
@@ -45,48 +45,51 @@ def test_each_layout_is_told_from_the_others(tmp_path: Path) -> None:
         assert (found.width, found.height) == (48, 32)
     other = recognize(installed(), tmp_path / "x_freiburg1_y", {})
     assert not other.has_camera
-    assert "is 48x32, but the calibration is for 640x480; scale one of them; left out" in other.assumed[0]
-    with pytest.raises(DatasetError, match="is 48x32, but the calibration is for 640x480"):
+    for fact in ("48x32", "640x480", "left out"):
+        assert fact in other.assumed[0]
+    with pytest.raises(DatasetError, match=r"48x32.* 640x480"):
         recognize(installed(), tmp_path / "x_freiburg1_y", {"camera": "freiburg1"})
 
 
-def test_it_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_recording_is_described_in_one_line(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
-    said = str(recognize(installed(), tmp_path, {}))
-    assert said == "folder of images, 2 frames, 48x32, colour, no calibration, no ground truth"
+    facts = str(recognize(installed(), tmp_path, {})).split(", ")
+    assert facts[1:] == ["2 frames", "48x32", "colour", "no calibration", "no ground truth"]
     found = recognize(installed(), tum(tmp_path / "walk"), {})
-    assert str(found) == "TUM RGB-D folder, 2 frames, 48x32, colour, camera from calib.yaml, ground truth"
+    *_, camera, truth = str(found).split(", ")
+    assert (camera.split()[-1], truth) == ("calib.yaml", "ground truth")
     assert "1 frame, " in str(replace(found, frames=1))
 
 
-def test_pictures_of_several_sizes_are_called_so(tmp_path: Path) -> None:
+def test_several_frame_sizes_are_listed(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
     pictures(tmp_path, ["3.png"], size=(48, 32))
     found = open_recording(tmp_path)
-    assert "3 frames, pictures of 32x48 and 48x32, colour" in str(found)
-    with pytest.raises(DatasetError, match="differ in size, and a camera has one"):
+    assert "3 frames, " in str(found)
+    assert " 32x48 and 48x32, " in str(found)
+    with pytest.raises(DatasetError, match="differ in size"):
         open_recording(tmp_path, fov_deg=70.0)
     for number in range(4, 7):
         pictures(tmp_path, [f"{number}.png"], size=(20, 10 * number))
-    assert "pictures of 5 sizes from 32x48 to 60x20" in str(open_recording(tmp_path))
+    assert "5 sizes from 32x48 to 60x20" in str(open_recording(tmp_path))
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "fact"),
     [
-        ("nothing", "there is no such file or folder"),
-        ("text.txt", "is text, which no dataset recognises (synthetic, tum"),
-        ("one.png", "is a single picture, which no dataset"),
-        ("blank.mp4", "is an empty file, which no dataset"),
-        ("other.bin", "is a file of another kind, which no dataset"),
-        ("empty", "is an empty folder, which no dataset"),
-        ("texts", "holds no pictures but 3 files such as a.txt, which no dataset"),
-        ("above", "holds no pictures, but its folder images does, which no dataset"),
-        ("deep", "holds no pictures but 1 folder, which no dataset"),
-        ("cut.mp4", "is cut off: it has no index (`moov`)"),
+        ("nothing", "no such file"),
+        ("text.txt", "is text"),
+        ("one.png", "a single image"),
+        ("blank.mp4", "an empty file"),
+        ("other.bin", "another kind"),
+        ("empty", "an empty folder"),
+        ("texts", "such as a.txt"),
+        ("above", "its folder images"),
+        ("deep", "but 1 folder"),
+        ("cut.mp4", "(`moov`)"),
     ],
 )
-def test_what_cannot_be_tried_is_said(tmp_path: Path, name: str, said: str) -> None:
+def test_a_path_without_a_recording_is_described(tmp_path: Path, name: str, fact: str) -> None:
     for folder in ("empty", "texts", "deep/deeper"):
         (tmp_path / folder).mkdir(parents=True)
     for file in ("text.txt", "texts/c.txt", "texts/a.txt", "texts/b.txt"):
@@ -98,7 +101,10 @@ def test_what_cannot_be_tried_is_said(tmp_path: Path, name: str, said: str) -> N
     pictures(tmp_path / "above" / "images", ["one.png"])
     with pytest.raises(DatasetError) as caught:
         recognize(installed(), tmp_path / name, {})
-    assert str(caught.value).startswith(f"{tmp_path / name}: {said}")
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / name}: ")
+    assert fact in message
+    assert ("(synthetic, tum" in message) == (name not in ("nothing", "cut.mp4"))
 
 
 @pytest.mark.parametrize("number", [0, 4])
@@ -121,22 +127,22 @@ def test_many_damaged_pictures_are_counted_and_most_are_an_error(tmp_path: Path)
     made = fit_matrix(installed(), open_recording(tmp_path), ["jpeg:10"])
     assert made.choices[2].endswith("3.png: not an image that OpenCV can read (1 bytes); fetch or copy it again; "
                                     "left out (`skip: [3]`)")  # fmt: skip
-    assert made.choices[3] == "2 more frames left out for such reasons (`skip`)"
+    assert made.choices[3].startswith("2 more frames")
     assert "skip: [1, 2, 3, 4, 5]}" in made.text
     (tmp_path / "6.png").write_bytes(b"x")
-    with pytest.raises(DatasetError, match=r"1\.png: not an image .* \(and 5 more of 10 frames, more than half\)$"):
+    with pytest.raises(DatasetError, match=r"1\.png: .* 5 more of 10 "):
         fit_matrix(installed(), open_recording(tmp_path), ["jpeg:10"])
     for number in range(10):
         (tmp_path / f"{number}.png").write_bytes(b"x")
     with pytest.raises(DatasetError) as caught:
         open_recording(tmp_path)
-    said = str(caught.value).splitlines()
-    assert said[0] == f"{tmp_path}: skip removes every frame from 0 to 9"
-    assert said[1].startswith(f"{tmp_path}/0.png: not an image that OpenCV can read")
-    assert len(said) == 4
+    lines = str(caught.value).splitlines()
+    assert lines[0].startswith(f"{tmp_path}: skip ")
+    assert lines[1].startswith(f"{tmp_path}/0.png: ")
+    assert len(lines) == 4
 
 
-def test_what_is_unreadable_beside_the_pictures_costs_itself(tmp_path: Path) -> None:
+def test_unreadable_calibration_and_ground_truth_are_left_out(tmp_path: Path) -> None:
     walk = tum(tmp_path / "walk")
     with open(walk / "calib.yaml", "a") as stream:
         stream.write("note: taken at 5:30: sunny\n")
@@ -144,23 +150,23 @@ def test_what_is_unreadable_beside_the_pictures_costs_itself(tmp_path: Path) -> 
     found = open_recording(walk)
     assert (found.has_camera, found.has_ground_truth) == (False, False)
     assert found.params == {"path": str(walk), "camera": "none", "ground_truth": False}
-    assert found.assumed == (
-        f"{walk}/calib.yaml:7: calibration is not YAML: mapping values are not allowed here in "
-        "'note: taken at 5:30: sunny'; left out (`camera: none`)",
-        f"{walk}/groundtruth.txt:2: 2 field(s), ground truth has 8; left out (`ground_truth: false`)",
-    )
+    calibration, truth = found.assumed
+    assert calibration.startswith(f"{walk}/calib.yaml:7: ")
+    assert calibration.endswith("; left out (`camera: none`)")
+    assert truth.startswith(f"{walk}/groundtruth.txt:2: 2 field")
+    assert truth.endswith("; left out (`ground_truth: false`)")
     seen = open_recording(walk, fov_deg=90.0)
-    assert (seen.camera_from, seen.has_ground_truth) == ("the field of view", False)
+    assert (seen.has_camera, seen.has_ground_truth) == (True, False)
     with pytest.raises(DatasetError, match=r"calib\.yaml:7"):  # a camera that was asked for
         open_recording(walk, params={"calibration": str(walk / "calib.yaml")})
 
 
-def test_a_field_of_view_makes_a_camera_and_is_told(tmp_path: Path) -> None:
+def test_a_field_of_view_makes_a_camera_and_a_note(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
     found = open_recording(tmp_path, fov_deg=90.0)
     assert found.has_camera
     assert found.params["fov_deg"] == 90.0
-    assert "ideal one of 90 degrees" in found.notes[-1]
+    assert "90 degrees" in found.notes[-1]
 
 
 def test_the_focal_length_that_a_camera_noted_is_used(tmp_path: Path) -> None:
@@ -173,8 +179,8 @@ def test_the_focal_length_that_a_camera_noted_is_used(tmp_path: Path) -> None:
     picture.save(tmp_path / "1.jpg", exif=exif)
     found = open_recording(tmp_path)
     assert found.params["fov_deg"] == 90.0
-    assert "sees 90 degrees (EXIF)" in found.assumed[0]
-    assert "ideal one of 90 degrees" in found.notes[0]
+    assert "EXIF" in found.assumed[0]
+    assert "90 degrees" in found.notes[0]
 
 
 @pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
@@ -205,10 +211,10 @@ def test_every_recording_without_calibration_takes_a_field_of_view(tmp_path: Pat
     assert not open_recording(path).has_camera
     found = open_recording(path, fov_deg=90.0)
     assert found.has_camera
-    assert "camera from the field of view" in str(found)
+    assert "field of view" in found.camera_from
 
 
-def test_a_camera_of_twelve_bits_is_measured_and_its_bits_are_set(tmp_path: Path) -> None:
+def test_the_bits_of_a_12_bit_camera_are_measured_and_set(tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="the extra codecbench[bag] is not installed")
     from bag_files import BagWriter, picture, time_ns
 
@@ -218,13 +224,13 @@ def test_a_camera_of_twelve_bits_is_measured_and_its_bits_are_set(tmp_path: Path
             bag.write("/image", bag.image(samples, "mono16", time_ns(number)), time_ns(number))
     found = open_recording(tmp_path / "deep.bag")
     assert found.params["bits"] == 12
-    assert found.assumed[0].startswith("bits=12 suits what was found and is set")
+    assert found.assumed[0].startswith("bits=12 ")
     assert any("(`bits: 12`)" in note for note in found.notes)
     given = open_recording(tmp_path / "deep.bag", params={"bits": 16})
     assert (given.params["bits"], given.assumed) == (16, ())
 
 
-def test_what_has_to_be_chosen_is_said_as_the_command_takes_it(tmp_path: Path) -> None:
+def test_a_missing_parameter_is_named_as_an_option(tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="the extra codecbench[bag] is not installed")
     from bag_files import BagWriter, picture, time_ns
 

@@ -47,15 +47,15 @@ def test_the_settings_are_counted() -> None:
     ("text", "words"),
     [
         ("jpeg:", None),
-        ("jpeg:,", "is not understood; write NAME"),
-        ("jpeg:quality=", "is not understood"),
-        ("jpeg:5,10", "is not understood"),
+        ("jpeg:,", "write NAME"),
+        ("jpeg:quality=", "'quality='"),
+        ("jpeg:5,10", "'10'"),
         ("jpeg:5..90/1", "1 steps; 2 to 100"),
-        ("jpeg:1.2.3..9", "is no range"),
-        ("raw:5", "no parameter that is a number"),
+        ("jpeg:1.2.3..9", "not a range"),
+        ("raw:5", "no numeric parameter"),
     ],
 )
-def test_other_spellings_are_answered_with_the_right_one(text: str, words: str | None) -> None:
+def test_other_spellings_are_errors(text: str, words: str | None) -> None:
     if words is None:
         assert parse_codec(installed(), text).values == {}
         return
@@ -63,24 +63,25 @@ def test_other_spellings_are_answered_with_the_right_one(text: str, words: str |
         parse_codec(installed(), text)
 
 
-def test_an_unknown_codec_is_answered_with_the_nearest() -> None:
-    with pytest.raises(PluginError, match="did you mean 'jpeg'"):
+def test_an_unknown_codec_gets_the_nearest_as_a_suggestion() -> None:
+    with pytest.raises(PluginError, match="'jpeg'"):
         parse_codec(installed(), "jpg:5..90")
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "facts"),
     [
-        ("jpeg:quality=500", "quality: Input should be less than or equal to 100; got 500"),
-        ("jpeg:5..200", "quality: Input should be less than or equal to 100; got 200"),
-        ("jpeg:-5..50", "quality: Input should be greater than or equal to 1; got -5"),
-        ("jpeg:5,subsampling=444|433", "subsampling: Input should be '444', '422' or '420'; got '433'"),
-        ("jpeg:nosuch=1", "nosuch: unknown; allowed: quality, subsampling, optimize, progressive, restart"),
-        ("jpeg2000:ratio=8,psnr_db=30", "exactly one of ratio, psnr_db, lossless and cr_percent sets the rate, got "),
+        ("jpeg:quality=500", ["quality: ", " 100; got 500"]),
+        ("jpeg:5..200", ["quality: ", " 100; got 200"]),
+        ("jpeg:-5..50", ["quality: ", " 1; got -5"]),
+        ("jpeg:5,subsampling=444|433", ["subsampling: ", "'422'", "; got '433'"]),
+        ("jpeg:nosuch=1", ["nosuch: ", "quality, subsampling, optimize"]),
+        ("jpeg2000:ratio=8,psnr_db=30", ["ratio, psnr_db, lossless"]),
     ],
 )
-def test_values_that_a_codec_does_not_take_are_told_as_they_were_written(text: str, said: str) -> None:
-    """And not by the line of a matrix that is made of them, which nobody has seen."""
+def test_an_error_quotes_the_option_and_not_the_matrix_made_from_it(text: str, facts: list[str]) -> None:
     with pytest.raises(ParamsError) as caught:
         parse_codec(installed(), text)
-    assert str(caught.value).startswith(f"--codec {text}: {said}")
+    message = str(caught.value)
+    assert message.startswith(f"--codec {text}: ")
+    assert [fact for fact in facts if fact not in message] == []

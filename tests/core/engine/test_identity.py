@@ -118,7 +118,7 @@ class Place:
     def run(self, *options: str) -> tuple[int, int]:
         """How many cells are ok after a run, and how many of them are from before."""
         out = self.call("run", "changing.yaml", "--quiet", *options)
-        kept = re.search(r", (\d+) of them from before", out)
+        kept = re.search(r", (\d+) of them", out)
         ok = re.search(r"cells: (\d+) ok", out)
         assert ok, out
         return int(ok[1]), int(kept[1]) if kept else 0

@@ -79,8 +79,8 @@ def test_an_edit_is_told_until_its_cells_are_made_again(place: Place) -> None:
             "codec posterize: other code made 1 kept cell (codecbench-posterize 0.3.0: codec.py written since); "
             "to make them again: codecbench run ... --recompute posterize"
         )
-        assert "2 of them from before" in done.stdout
-    assert "1 of them from before" in run(place, "--recompute", "posterize").stdout
+        assert "2 of them" in done.stdout
+    assert "1 of them" in run(place, "--recompute", "posterize").stdout
     assert "other code" not in run(place).output
 
 
