@@ -85,7 +85,7 @@ def test_what_depends_on_a_lost_set_is_not_handed_on(tmp_path: Path) -> None:
 def test_codecs_of_pictures_are_refused_where_features_are_asked_for(evaluator: Any, tmp_path: Path) -> None:
     plugins = Plugins(told=lambda _: Told(helix(COUNT)), orb=lambda _: None)
     coded = CodedInMemory(MemorySequence(PICTURES, CAMERA))
-    with pytest.raises(Unsupported, match="function sends pictures, not features; leave `architecture: features` out"):
+    with pytest.raises(Unsupported, match="function sends frames, not features; leave out `architecture: features`"):
         list(evaluator.evaluate(coded, context(tmp_path, plugins=plugins)))
 
 
@@ -177,7 +177,7 @@ def test_who_cannot_take_features_says_so(tmp_path: Path) -> None:
     where = context(tmp_path, plugins=Plugins(told=lambda _: Told(helix(COUNT))))
     with pytest.raises(Unsupported, match="told cannot run architecture features; it runs atc, cta"):
         list(TrajectoryEvaluator.create(backend="told").evaluate(coded, where))
-    with pytest.raises(Unsupported, match="corners sends features, so that there is no picture"):
+    with pytest.raises(Unsupported, match="corners sends features, not frames"):
         list(TrajectoryEvaluator.create(backend="told", architecture="atc").evaluate(coded, where))
-    with pytest.raises(Unsupported, match="slam backend told takes images, not features"):
+    with pytest.raises(Unsupported, match="slam backend told accepts images, not features"):
         Told(helix(COUNT)).run_features([], CAMERA, seed=0)

@@ -56,7 +56,7 @@ def points(spanned: Sequence[Axis]) -> Iterator[Point]:
 def axis_hint(name: str, value: Any) -> str:
     """Explain how to write an axis if a rejected value looks like an attempt at one; otherwise return ""."""
     if isinstance(value, list):
-        return f"; for a setting of each of these write `{name}: {{grid: {format_value(value)}}}`"
+        return f"; to plan a setting for each, write `{name}: {{grid: {format_value(value)}}}`"
     if not (isinstance(value, Mapping) and len(value) == 1):
         return ""
     ((kind, choices),) = value.items()

@@ -80,7 +80,7 @@ BAD = [
     (hook_module(name="raw"), "codec 'raw' is already offered by codecbench"),
     (hook_module(name="Not A Name"), "is not of the form"),
     (hook_module(target="no_colon"), "is not package.module:Class"),
-    (hook_module().replace("[PluginSpec", "['x', PluginSpec"), "returned 'x'; it returns a list of PluginSpec"),
+    (hook_module().replace("[PluginSpec", "['x', PluginSpec"), "returned 'x'; it must return a list of PluginSpec"),
     (hook_module().replace("return [", "return [][0], ["), "codecbench_codecs failed: IndexError"),
 ]
 

@@ -132,7 +132,7 @@ def test_what_a_set_may_be() -> None:
         ({"octaves": good.octaves[:-1]}, "octaves are int32"),
         ({"descriptors": good.descriptors[:, :31]}, "descriptors are uint8"),
         ({"responses": None}, "responses are NoneType"),
-        ({"size": (0, 5)}, "width and height of an image"),
+        ({"size": (0, 5)}, "width and height"),
         ({"size": (40, 40)}, "outside the image of 40x40"),
         ({"pixels": np.full_like(good.pixels, np.nan)}, "outside the image"),
         ({"angles": np.full_like(good.angles, np.inf)}, "not finite"),
