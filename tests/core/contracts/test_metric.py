@@ -209,7 +209,7 @@ def test_a_lane_says_of_each_frame_whether_it_holds(tone: Any, holds: np.ndarray
 
 
 def test_marks_have_a_verdict_for_each_place() -> None:
-    with pytest.raises(PluginError, match=r"they are \(N, 2\) and \(N,\)"):
+    with pytest.raises(PluginError, match=r"\(N, 2\) and \(N,\)"):
         KeypointOverlay(np.zeros((3, 2)), np.zeros(2, bool), "two of three")
 
 
