@@ -42,7 +42,7 @@ def axes(params: Mapping[str, Any], where: Where, problems: Problems) -> list[Ax
     count = math.prod(len(axis) for axis in result)
     if count > MOST_SETTINGS:
         lengths = " x ".join(str(len(axis)) for axis in result if len(axis) > 1)
-        problems.add(where, f"{lengths} = {count:,} settings; at most {MOST_SETTINGS:,} are planned")
+        problems.add(where, f"{lengths} = {count:,} settings; at most {MOST_SETTINGS:,} are allowed")
         return [Axis("", ())]
     return result
 

@@ -279,5 +279,5 @@ def require_plannable(
     cells = math.prod(counts.values())
     if cells > _MOST_CELLS:
         spelled = " x ".join(f"{count:,} {section}" for section, count in counts.items())
-        problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are planned")
+        problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are allowed")
         problems.raise_any()
