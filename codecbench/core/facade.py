@@ -80,16 +80,16 @@ class Run(RunResult):
         if isinstance(rate, bool) or not isinstance(rate, Real) or not 0.0 < rate < math.inf:
             unit = "" if self.rate is None else f" in {self.rate.unit}"
             raise ParamsError(
-                f"best({rate!r}): give a rate above 0{unit}, as a number, or nothing for a sentence a codec; "
-                "`wide` and `tidy` are the tables with every column"
+                f"best({rate!r}): give a rate above 0{unit} as a number, or nothing for one sentence per codec; "
+                "`wide` and `tidy` have all columns"
             )
         ranked_at_rate = rankings(self, brief=True, at=rate / self.rate.factor) if self.rate is not None else []
         for ranking in ranked_at_rate:
             if ranking.ranked:
                 return ranking.recommended
         reasons = [reason for ranking in ranked_at_rate for reason in uninformative_notes(ranking)]
-        reason = reasons[0] if reasons else "no two codecs have settings around it"
-        raise ParamsError(f"nothing can be ranked at that rate: {reason}")
+        reason = reasons[0] if reasons else "no two codecs have settings on both sides of it"
+        raise ParamsError(f"no codec can be ranked at that rate: {reason}")
 
     def frames(self, codec: str, setting: str | Mapping[str, Any] = "", sequence: str | None = None) -> CodedSequence:
         """Return the frames of a codec setting with their decoded versions, from the bitstreams in the run folder.

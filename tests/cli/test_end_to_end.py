@@ -118,7 +118,7 @@ def test_a_crashing_codec_is_rows_and_an_exit_status_and_the_rest_is_computed(ra
     assert "Traceback" not in ran.output
     assert "cells: 1 crashed, 1 failed, 46 ok, 6 unsupported" in ran.stdout
     assert "decode, frame 0: RuntimeError: broken" in ran.stderr
-    died = r"^crashed: synthetic \| crashing bits=1 .*codec crashing of crashing 1: .*it ended its process by SIGSEGV$"
+    died = r"^crashed: synthetic \| crashing bits=1 .*codec crashing of crashing 1: .*process was killed by SIGSEGV$"
     assert re.search(died, ran.stderr, re.MULTILINE)
     table = ran.stdout.partition("Every setting of small\n")[2].partition("\nIn all rows: sequence synthetic")[0]
     rows = [line.split()[:2] for line in table.splitlines()[1:]]

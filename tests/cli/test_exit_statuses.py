@@ -220,7 +220,7 @@ ROWS: list[tuple[ExitStatus, str, str]] = [
     (ExitStatus.NOT_POSSIBLE, "bundle runs/tiny --out file/b.zip", "a file is where a folder is expected"),
     (ExitStatus.SUCCESS, "open tiny.bundle.zip --out opened", "report: opened/report/report.html"),
     (ExitStatus.WRONG_USE, "open nowhere.zip", "there is no such file"),
-    (ExitStatus.WRONG_USE, "open tiny.bundle.zip --out runs/tiny", "is there already"),
+    (ExitStatus.WRONG_USE, "open tiny.bundle.zip --out runs/tiny", "already exists"),
     (ExitStatus.NOT_POSSIBLE, "open file", "is refused"),
     (ExitStatus.SUCCESS, "verify-run tiny.bundle.zip", "1 to the bit"),
     (ExitStatus.FOUND, "verify-run changed.bundle.zip", "1 differs"),

@@ -111,11 +111,9 @@ def test_a_broken_codec_fails_with_the_place(tmp_path: Path) -> None:
     [
         ("Exits", "raised: SystemExit(0), which ends programs"),
         pytest.param("Interrupts", "raised: KeyboardInterrupt(), which ends programs", marks=pytest.mark.thorough),
-        pytest.param(
-            "EndsItsProcess", "crashed: the process ended itself with exit status 0", marks=pytest.mark.thorough
-        ),
-        pytest.param("KillsItself", "crashed: the process died of SIGKILL", marks=pytest.mark.thorough),
-        ("Segfaults", "crashed: the process died of SIGSEGV"),
+        pytest.param("EndsItsProcess", "crashed: the process exited with status 0", marks=pytest.mark.thorough),
+        pytest.param("KillsItself", "crashed: the process was killed by SIGKILL", marks=pytest.mark.thorough),
+        ("Segfaults", "crashed: the process was killed by SIGSEGV"),
         pytest.param("NeverEnds", "hung: no answer within 6 s", marks=pytest.mark.thorough),
     ],
 )
@@ -139,7 +137,7 @@ def test_a_codec_that_ends_or_stops_its_process_fails_its_check_alone(
 def test_a_codec_that_ends_its_process_when_constructed_costs_itself(tmp_path: Path) -> None:
     done = with_broken(tmp_path, "EndsWhenConstructed").call("verify", "broken", "raw", "--only", "bytes")
     assert done.status == 1
-    assert re.search(r"broken\n  FAIL  crashed: the process ended itself with exit status 0", done.stdout)
+    assert re.search(r"broken\n  FAIL  crashed: the process exited with status 0", done.stdout)
     assert "pass  bytes" in done.stdout
 
 
@@ -331,7 +329,7 @@ def test_an_encoder_that_ends_its_process_fails_its_bitstreams(tmp_path: Path) -
     (place.site / "broken.py").write_text(BROKEN.format("KillsItself", ()))
     done = place.call("verify", "--check-corpus", "corpus")
     assert done.status == 1, done.output
-    assert done.stdout.count("does not encode its image any more: crashed: the process died of SIGKILL") == 6
+    assert done.stdout.count("does not encode its image any more: crashed: the process was killed by SIGKILL") == 6
     assert done.stdout.splitlines()[-1] == "6 passed, 6 failed, 0 skipped"
 
 

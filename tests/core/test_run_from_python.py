@@ -72,15 +72,13 @@ def test_the_best_is_a_sentence_a_codec_or_at_a_rate_the_codec(run: RunResult) -
     rates = run.wide[run.wide["codec"] == "jpeg"]["quality.rate_bpp.mean"].sort_values().tolist()
     taken = run.best(float(np.sqrt(rates[0] * rates[1])))
     assert taken.curve in ("jpeg", "jpeg2000")  # type: ignore[union-attr]
-    with pytest.raises(ParamsError, match=r"nothing .*ranked at"):
+    with pytest.raises(ParamsError, match=r"ranked at that rate"):
         run.best(1e6)
 
 
 @pytest.mark.parametrize("wrong", ["quality.psnr_gray_db", True, 0.0, -1.0, float("nan"), float("inf"), [0.5]])
 def test_what_is_no_rate_is_answered_with_what_is(run: RunResult, wrong: Any) -> None:
-    with pytest.raises(
-        ParamsError, match=rf"^best\({re.escape(repr(wrong))}\): give a rate above 0 in bit/px, as a number"
-    ):
+    with pytest.raises(ParamsError, match=rf"^best\({re.escape(repr(wrong))}\): .* above 0 in bit/px"):
         run.best(wrong)
 
 
@@ -92,9 +90,7 @@ def test_frames_come_back_as_they_were_coded(run: RunResult) -> None:
         assert bitstream == frame.bitstream
         assert np.array_equal(jpeg.decode(bitstream), frame.decoded)  # type: ignore[attr-defined]
     assert [frame.bitstream for frame in run.frames("jpeg", {"quality": 10})] == [frame.bitstream for frame in coded]
-    with pytest.raises(
-        ParamsError, match=r"^jpeg quality=11 is not one setting of the run; say which of raw, jpeg quality=10"
-    ):
+    with pytest.raises(ParamsError, match=r"^jpeg quality=11 .* of raw, jpeg quality=10"):
         run.frames("jpeg", {"quality": 11})
     with pytest.raises(ParamsError, match=r"^jpeg ratio=10 is"):
         run.frames("jpeg", {"ratio": 10})

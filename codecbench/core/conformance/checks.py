@@ -75,7 +75,7 @@ def packets_are_bytes(codec_class: CodecClass, params: Params, films: Sequence[F
         for index, packet in enumerate(packets):
             where = f"encoding {film.name}, packet {index}"
             if type(packet) is not Packet:
-                raise ConformanceFailure(where, type(packet).__name__, "a Packet, of which all that counts is `data`")
+                raise ConformanceFailure(where, type(packet).__name__, "a Packet, not a subclass")
             if type(packet.data) is not bytes or not packet.data:
                 raise ConformanceFailure(where, f"{type(packet.data).__name__} {packet.data!r:.40}", "bytes")
             if type(packet.frame) is not int or type(packet.starts) is not bool:
@@ -85,7 +85,7 @@ def packets_are_bytes(codec_class: CodecClass, params: Params, films: Sequence[F
         if codec_class.carries == "features" and [packet.frame for packet in packets] != [*range(len(packets))]:
             raise ConformanceFailure(f"encoding {film.name}", "packets in another order", "a packet for each set")
         if not packets[0].starts:
-            raise ConformanceFailure(f"encoding {film.name}, the first packet", "starts=False", "a start")
+            raise ConformanceFailure(f"encoding {film.name}, the first packet", "starts=False", "a keyframe")
 
 
 def no_frame_is_lost_or_doubled(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
@@ -126,17 +126,17 @@ def features_match_the_image(codec_class: Any, params: Params, films: Sequence[F
     codec, count = codec_class(params), 0
     for film in films:
         for index, picture in enumerate(film.pictures):
-            where = f"extracting from picture {index} of {film.name}"
+            where = f"extracting from frame {index} of {film.name}"
             features = codec.extract(picture)
             if type(features) is not Features:
                 raise ConformanceFailure(where, type(features).__name__, "Features")
             if features.size != (picture.shape[1], picture.shape[0]):
-                raise ConformanceFailure(where, f"size {features.size}", "width and height of the picture")
+                raise ConformanceFailure(where, f"size {features.size}", "width and height of the image")
             require_same(f"{where} again", codec.extract(picture), features)
             require_same(f"{where}, by a new instance", codec_class(params).extract(picture), features)
             count += len(features)
     if not count:
-        raise ConformanceFailure("extracting from all pictures", "no feature", "some: they are full of corners")
+        raise ConformanceFailure("extracting from all frames", "no feature", "some: the frames are full of corners")
 
 
 def sets_come_back(codec_class: Any, params: Params, films: Sequence[Film]) -> None:
@@ -150,7 +150,7 @@ def sets_come_back(codec_class: Any, params: Params, films: Sequence[Film]) -> N
             require_same(f"set {index} of {film.name} after it was pushed", pushed, before)
             if contents[index].size != pushed.size:
                 got = f"size {contents[index].size}"
-                raise ConformanceFailure(f"decoding {film.name}, frame {index}", got, "its own")
+                raise ConformanceFailure(f"decoding {film.name}, frame {index}", got, f"{pushed.size}")
 
 
 def _decoded_sets(codec: Any, sets: Sequence[Features], where: str) -> list[Features]:
@@ -187,7 +187,7 @@ def large_sets_are_coded_or_refused(codec_class: Any, params: Params, films: Seq
     few = _random_features(rng, _FEW, first.size)
     unusual = {
         f"{_MANY} features": _random_features(rng, _MANY, first.size),
-        "an image of 2^20 a side": replace(few, size=(1 << 20, 1 << 20)),
+        "an image of 2^20 x 2^20": replace(few, size=(1 << 20, 1 << 20)),
         "level 40": replace(few, octaves=np.full(_FEW, 40, np.int32)),
     }
     usual = codec.encoder()
@@ -223,7 +223,7 @@ def input_is_untouched(codec_class: CodecClass, params: Params, films: Sequence[
         copies = [picture.copy() for picture in film.pictures]
         packets_of(codec, copies)
         for index, (picture, before) in enumerate(zip(copies, film.pictures, strict=True)):
-            require_same(f"picture {index} of {film.name} after it was pushed", picture, before)
+            require_same(f"frame {index} of {film.name} after it was pushed", picture, before)
             picture.flags.writeable = False
         require_same_packets(f"{film.name}, read-only", packets_of(codec, copies), expected)
         strided = [np.repeat(picture, 2, axis=1)[:, ::2] for picture in film.pictures]
@@ -254,8 +254,8 @@ def sessions_do_not_interfere(codec_class: CodecClass, params: Params, films: Se
     together = _run_in_turn([codec.open_encoder(FRAME_RATE_HZ) for _ in films], [film.pictures for film in films])
     results = _run_in_turn([codec.open_decoder() for _ in films], alone)
     for film, packets, got, decoded in zip(films, alone, together, results, strict=True):
-        require_same_packets(f"{film.name} beside another session", got, packets)
-        where = f"decoding {film.name} beside another session"
+        require_same_packets(f"{film.name} interleaved with another session", got, packets)
+        where = f"decoding {film.name} interleaved with another session"
         require_same_contents(where, decoded, decoded_of(codec, packets))
 
 
@@ -296,9 +296,9 @@ def one_in_gives_one_out(codec_class: CodecClass, params: Params, films: Sequenc
                 raise ConformanceFailure(where, f"packets of {[packet.frame for packet in packets]}", "its packet")
             pictures = decoder.push(packets[0])
             if [result.frame for result in pictures] != [frame]:
-                raise ConformanceFailure(f"{where}'s packet", f"{len(pictures)} pictures", "its picture at once")
+                raise ConformanceFailure(f"{where}'s packet", f"{len(pictures)} frames", "its frame at once")
         if encoder.flush() or decoder.flush():
-            raise ConformanceFailure(f"{film.name}, flush", "more", "nothing, for nothing was held back")
+            raise ConformanceFailure(f"{film.name}, flush", "more", "nothing: no frame may be held back")
 
 
 def what_was_sent_is_final(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
@@ -311,7 +311,7 @@ def what_was_sent_is_final(codec_class: CodecClass, params: Params, films: Seque
         left, right = (
             _packets_sent_early(codec_class(params), list(pictures), shared) for pictures in (original, variant)
         )
-        require_same_packets(f"{film.name} before another future", left, right)
+        require_same_packets(f"{film.name} with other later frames", left, right)
 
 
 def _packets_sent_early(codec: AnyCodec[Any], pictures: Sequence[Image], first: int) -> list[Packet]:
@@ -322,7 +322,7 @@ def _packets_sent_early(codec: AnyCodec[Any], pictures: Sequence[Image], first: 
     for picture in pictures[first:]:
         session.push(picture)
     session.flush()
-    require_same_packets("packets after later pictures", packets, sent)
+    require_same_packets("packets after later frames", packets, sent)
     return sent
 
 
@@ -347,7 +347,7 @@ def _require_same_unordered(where: str, got: Features, expected: Features) -> No
     got, expected = _sorted_features(got), _sorted_features(expected)
     for name in ("pixels", "octaves", "descriptors"):
         if not np.array_equal(getattr(got, name), getattr(expected, name)):
-            raise ConformanceFailure(where, f"other {name}", "those that were found")
+            raise ConformanceFailure(where, f"other {name}", "those extracted")
     turn = np.abs(np.angle(np.exp(1j * (got.angles - expected.angles)))).max(initial=0.0)
     if turn > ANGLE_TOLERANCE_RAD:
         raise ConformanceFailure(where, f"an angle that is {turn:.2g} rad off", f"at most {ANGLE_TOLERANCE_RAD:.0e}")
@@ -370,7 +370,7 @@ def samples_stop_at_black_and_white(codec_class: CodecClass, params: Params, fil
         wrapped = _wrapped_samples(decoded.astype(np.int16), original.astype(np.int16))
         if wrapped.any():
             index = tuple(int(i) for i in np.argwhere(wrapped)[0])
-            got = f"{decoded[index]} at {index}, far from its neighbour; {np.count_nonzero(wrapped)} such"
+            got = f"{decoded[index]} at {index}, far from its neighbor; {np.count_nonzero(wrapped)} such samples"
             raise ConformanceFailure(f"decoding {film.name}", got, f"about {original[index]}")
 
 
@@ -483,7 +483,7 @@ def counting_changes_nothing(codec_class: CodecClass, params: Params, films: Seq
         require_same_contents(where, decoded_of(codec, packets, decoding), decoded_of(codec, packets))
         for trace in (encoding, decoding):
             if bool(trace.counts) != claims:
-                expected = "counts of every stage" if claims else "none: the codec says that it is opaque"
+                expected = "counts of every stage" if claims else "none: the codec declares counts_operations=False"
                 raise ConformanceFailure(where, f"stages {list(trace.counts)}", expected)
         packets_of(codec, film.pictures, again)
         if again.counts != encoding.counts:

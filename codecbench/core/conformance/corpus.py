@@ -89,7 +89,7 @@ def write_bitstreams(folder: Path, makers: Sequence[Maker], written_by: str) -> 
     Raises StoreError if the folder is not empty, and what makers raise; then there is no manifest.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise StoreError(f"{folder} is not empty; a corpus is written into a folder of its own")
+        raise StoreError(f"{folder} is not empty; choose a new or empty folder for the corpus")
     folder.mkdir(parents=True, exist_ok=True)
     entries: list[Entry] = []
     for make in makers:
@@ -140,7 +140,7 @@ def _new_entry(
 ) -> tuple[Entry, bytes]:
     decoded = _ask(codec, "decode", encoded.value) if encoded.status == "done" else encoded
     if decoded.status != "done":
-        raise PluginError(f"{codec.name}, picture {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
+        raise PluginError(f"{codec.name}, image {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
     bitstream: bytes = encoded.value
     entry = Entry(
         file=file,
@@ -212,7 +212,7 @@ def _decoding_failure(path: Path, entry: Entry, codec: Codec[Any]) -> str | None
 def _reencoding_result(entry: Entry, codec: Codec[Any]) -> EntryResult:
     """Check that the encoder still writes these bytes, as it must unless its version or a library's changed."""
     if entry.generator != GENERATOR:
-        return EntryResult(entry, "passed", note=f"only decoded: generator {entry.generator} is not of this version")
+        return EntryResult(entry, "passed", note=f"only decoded: generator {entry.generator} is not the current one")
     reply = _ask(codec, "encode", integer_image(entry.seed, *entry.shape))
     if reply.status != "done":
         return EntryResult(entry, "failed", f"does not encode its image any more: {reply.status}: {reply.reason}")

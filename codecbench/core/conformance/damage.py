@@ -75,7 +75,7 @@ def starts_are_starts(codec_class: CodecClass, params: Params, films: Sequence[F
             try:
                 decoded = decoded_of(codec, packets[index:])
             except BitstreamError as error:
-                raise ConformanceFailure(where, f"BitstreamError: {error}", "what there is from there on") from error
+                raise ConformanceFailure(where, f"BitstreamError: {error}", "the frames from there on") from error
             require_same_contents(where, decoded, expected, packets[index].frame)
 
 
@@ -97,8 +97,8 @@ def losses_are_reported(codec_class: CodecClass, params: Params, films: Sequence
                 received: list[Packet | Loss] = [*before, LOST, LOST, *rest[1:]]
                 _require_true_states(f"{where} and the next", codec, received, rest[1:], both, expected)
             if codec.carries == "features":
-                _require_true_states(f"{where}, untold", codec, [*before, *rest], rest, lost, expected)
-            where = f"joining {film.name} behind packet {index}, of frame {packet.frame}"
+                _require_true_states(f"{where}, unreported", codec, [*before, *rest], rest, lost, expected)
+            where = f"random access to {film.name} after packet {index}, of frame {packet.frame}"
             _require_true_states(where, codec, rest, rest, lost, expected)
 
 
@@ -117,7 +117,7 @@ def _require_true_states(
     try:
         decoded = decoded_of(codec, received)
     except BitstreamError as error:
-        raise ConformanceFailure(where, f"BitstreamError: {error}", "pictures: no byte was damaged") from error
+        raise ConformanceFailure(where, f"BitstreamError: {error}", "frames: no byte was damaged") from error
     states = {result.frame: state_of(result) for result in decoded}
     if len(states) != len(decoded) or not states.keys() <= expected.keys():
         frames = [result.frame for result in decoded]
@@ -131,21 +131,23 @@ def _require_true_states(
     if codec.carries == "features" and len(received) > len(rest):
         due |= {frame for frame in expected if frame < min(lost)}
     if broken := sorted(frame for frame in due if states.get(frame) != "whole"):
-        raise ConformanceFailure(where, f"frames {broken} are not whole", "those before the loss and from a start on")
+        raise ConformanceFailure(
+            where, f"frames {broken} are not whole", "whole frames before it and from a keyframe on"
+        )
 
 
 def _require_true_state(where: str, result: Decoded, lost: set[int], expected: dict[int, Any]) -> None:
     content, state = content_of(result), state_of(result)
     if state == "whole" and result.frame in lost:
-        raise ConformanceFailure(where, "whole", "concealed or missing: its packet never came")
+        raise ConformanceFailure(where, "whole", "concealed or missing: its packet was lost")
     if (content is None) != (state == "missing"):
         raise ConformanceFailure(where, result, "an image unless it is missing")
     if state == "whole":
-        require_same(f"{where}, which is called whole", content, expected[result.frame])
+        require_same(f"{where}, marked whole", content, expected[result.frame])
 
 
 def foreign_bytes_are_refused(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
-    foreign = ((f"push({name}) as a start", [Packet(data, 0, starts=True)]) for name, data in _FOREIGN.items())
+    foreign = ((f"push({name}) as a keyframe", [Packet(data, 0, starts=True)]) for name, data in _FOREIGN.items())
     _must_refuse(codec_class, params, 0, foreign)
 
 
@@ -252,14 +254,14 @@ def _must_refuse(codec_class: CodecClass, params: Params, index: int, damaged: D
     for where, packets in damaged:
         contents, refused = _decode_in_process(where, codec_class, params, packets[: index + 1])
         if refused != [index]:
-            got = f"{len(contents)} pictures or sets of features" if not refused else f"packets {refused} refused"
+            got = f"{len(contents)} frames or feature sets" if not refused else f"packets {refused} refused"
             raise ConformanceFailure(where, got, "BitstreamError")
 
 
 def _decode_in_process(where: str, codec_class: CodecClass, params: Params, packets: Sequence[Packet]) -> Any:
     """Call `_survivors` in another process. Fails if the codec raises or crashes."""
     call = _survivors, codec_class, params, packets
-    expected = "BitstreamError, or what a decoder gives"
+    expected = "BitstreamError or a result of decode"
     return run_elsewhere("decode", where, *call, expected=expected, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB)
 
 
@@ -293,7 +295,7 @@ def parts_decode(codec_class: Any, params: Params, films: Sequence[Film]) -> Non
         for trial in range(_TRIALS):
             fragments = _with_gaps(bitstream, rng)
             where = f"decode_partial({film.name}), {[(part.offset, part.end) for part in fragments]}, trial {trial}"
-            call, expected = (_decode_partial, codec_class, params, fragments), "BitstreamError or a picture"
+            call, expected = (_decode_partial, codec_class, params, fragments), "BitstreamError or an image"
             for partial in run_elsewhere(
                 "decode", where, *call, expected=expected, timeout_s=_TIMEOUT_S, memory_mb=_MEMORY_MB
             ):
@@ -332,4 +334,4 @@ def _require_true_mask(where: str, partial: PartialImage, decoded: Image) -> Non
         raise ConformanceFailure(where, f"{image.dtype} of shape {image.shape}", f"uint8 of shape {decoded.shape}")
     if is_whole.dtype != np.bool_ or is_whole.shape != decoded.shape[:2]:
         raise ConformanceFailure(where, f"whole: {is_whole.dtype} of {is_whole.shape}", f"bool of {decoded.shape[:2]}")
-    require_same(f"{where}, where it claims to be whole", image[is_whole], decoded[is_whole])
+    require_same(f"{where}, pixels marked whole", image[is_whole], decoded[is_whole])

@@ -178,7 +178,7 @@ def run_elsewhere(
     where: str,
     function: Callable[..., Any],
     *arguments: Any,
-    expected: str = "what this process gets",
+    expected: str = "the result of this process",
     timeout_s: float = _TIMEOUT_S,
     memory_mb: int = _MEMORY_MB,
 ) -> Any:

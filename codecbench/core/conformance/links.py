@@ -28,7 +28,9 @@ def check_link(link: Link[Any]) -> None:
                 check(link, sent, passages)
         again = send_packets(link, seed, _steady)
         if again != transmissions[0]:
-            raise ConformanceFailure(f"{link.name}: the same packets twice from seed {seed}", "two answers", "one")
+            raise ConformanceFailure(
+                f"{link.name}: the same packets twice from seed {seed}", "other passages", "the same"
+            )
 
 
 def send_packets(
@@ -62,11 +64,11 @@ def causal(link: Link[Any], sent: list[Sent], passages: list[Passage]) -> None:
     for (size_bytes, start_s), passage in zip(sent, passages, strict=True):
         where = f"{link.name}: {size_bytes} bytes at {start_s:g} s"
         if passage.sent_s < start_s:
-            raise ConformanceFailure(where, f"sent at {passage.sent_s:g} s", "not before its turn")
+            raise ConformanceFailure(where, f"sent at {passage.sent_s:g} s", "at its start or later")
         earliest_s = passage.sent_s + link.delay_s - _ROUNDING_S
         if passage.arrives_s is not None and passage.arrives_s < earliest_s:
             raise ConformanceFailure(
-                where, f"arrival at {passage.arrives_s:g} s", f"{earliest_s:g} s or later: sent, and the delay"
+                where, f"arrival at {passage.arrives_s:g} s", f"{earliest_s:g} s or later: when sent, plus the delay"
             )
 
 

@@ -69,11 +69,11 @@ def saturated_images(channels: int) -> list[Film]:
     halves = np.where(columns < 2, 0, 255)
     cube = np.stack([(rows + shift * columns) // 2 % 2 * 255 for shift in (1, 2, 3)], axis=2)
     pictures = {
-        "black beside white": halves,
+        "black next to white": halves,
         "white board": np.where((rows + columns) % 2 == 0, 0, 255),
         "nearly black": texture,
         "nearly white": 255 - texture,
-        "saturated colours": cube if channels == 3 else cube[:, :, 0],
+        "saturated colors": cube if channels == 3 else cube[:, :, 0],
     }
     return [Film(name, [_with_channels(picture.astype(np.uint8), channels)]) for name, picture in pictures.items()]
 

@@ -142,8 +142,8 @@ def _answer(function: Callable[..., Any], arguments: tuple[Any, ...], memory_mb:
 def _death(code: int | None) -> str:
     if code is not None and code < 0:
         with suppress(ValueError):
-            return f"the process died of {signal.Signals(-code).name}"
-    return f"the process ended itself with exit status {code}"
+            return f"the process was killed by {signal.Signals(-code).name}"
+    return f"the process exited with status {code}"
 
 
 @contextmanager

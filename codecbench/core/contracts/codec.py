@@ -151,7 +151,7 @@ session = codecbench.encoder_of(codec, {scene.frame_rate_hz:g})
 def encode({layout}):
     packets = session.flush() if {layout} is None else session.push({layout})
     return b"".join(packet.data for packet in packets)"""
-        note = f"No element of ROS 2, GStreamer or FFmpeg is known to code what {self.name} codes."
+        note = f"No element of ROS 2, GStreamer or FFmpeg is known to implement {self.name}."
         return (Recipe("Python, codecbench", "python", text, note),)
 
     def is_low_delay(self) -> bool:
@@ -170,8 +170,8 @@ def encode({layout}):
         if self.carries == "features":
             return sends_no_picture(self)
         return Unsupported(
-            f"{self.name} has memory between frames, so no picture is coded on its own; an evaluator pushes frames "
-            f"into a session: encoder_of(codec, sequence.frame_rate_hz) and decoder_of(codec), of any codec"
+            f"{self.name} is an inter-frame codec and cannot code single frames; use sessions, as for any codec: "
+            "encoder_of(codec, sequence.frame_rate_hz) and decoder_of(codec)"
         )
 
     def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
@@ -181,7 +181,7 @@ def encode({layout}):
         the last is unknown. A complete bitstream, as one fragment, gives what `decode` gives. Raises BitstreamError if
         nothing can be decoded, which for some settings is whenever anything is missing.
         """
-        raise Unsupported(f"{self.name} decodes nothing of a bitstream of which parts are missing")
+        raise Unsupported(f"{self.name} cannot decode a bitstream with missing parts")
 
     def with_params(self, **values: Any) -> Self:
         """Return this setting with some parameters replaced. Raises pydantic.ValidationError."""
@@ -376,14 +376,13 @@ def gets_features(codec: AnyCodec[Any], architecture: str) -> bool:
 def sends_no_picture(codec: AnyCodec[Any]) -> Unsupported:
     """Return the error for asking a feature codec for a frame."""
     return Unsupported(
-        f"{codec.name} sends features, so that there is no picture to look at; "
-        f"measure it by what reads features: docs/pictures-or-features.md says what does"
+        f"{codec.name} sends features, not frames; use evaluators that read features: see docs/pictures-or-features.md"
     )
 
 
 def sends_no_features(codec: AnyCodec[Any]) -> Unsupported:
     """Return the error for asking a codec that sends frames for features."""
     return Unsupported(
-        f"{codec.name} sends pictures, not features; "
-        f"leave `architecture: features` out, and each codec is measured by what it sends"
+        f"{codec.name} sends frames, not features; "
+        f"leave out `architecture: features` to measure each codec by what it sends"
     )

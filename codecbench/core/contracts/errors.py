@@ -66,7 +66,7 @@ class PluginError(CodecbenchError):
 def require_choice(what: str, got: object, choices: Any) -> None:
     """Raise PluginError if a value is none of the choices of a Literal."""
     if got not in get_args(choices):
-        raise PluginError(f"{what} is {got!r}; it is one of {', '.join(get_args(choices))}")
+        raise PluginError(f"{what} is {got!r}; it must be one of {', '.join(get_args(choices))}")
 
 
 class StoreError(CodecbenchError):

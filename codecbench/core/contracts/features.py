@@ -55,7 +55,7 @@ class Features:
                 got = f"{getattr(values, 'dtype', type(values).__name__)} {getattr(values, 'shape', '')}".strip()
                 raise ValueError(f"features: {name} are {got}; of {count} features they are {kind.__name__} {shape}")
         if len(self.size) != 2 or min(self.size) < 1:
-            raise ValueError(f"features: the size is {self.size}; it is width and height of an image")
+            raise ValueError(f"features: the size is {self.size}; it must be an image's width and height")
         if count and not (self.pixels.min() >= -0.5 and (self.pixels - self.size).max() <= -0.5):
             raise ValueError(f"features: a position is outside the image of {self.size[0]}x{self.size[1]}")
         if not np.isfinite(self.angles).all() or self.octaves.min(initial=0) < 0:

@@ -33,7 +33,7 @@ class Queue:
 
     def __post_init__(self) -> None:
         if self.packets is not None and self.packets < 1:
-            raise ValueError(f"a queue of {self.packets} packets holds nothing; give 1 or more, or None")
+            raise ValueError(f"a queue of {self.packets} packets has no room; give 1 or more, or None")
 
 
 class Channel(ABC):

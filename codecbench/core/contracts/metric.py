@@ -87,7 +87,7 @@ class Metric:
         require_choice(f"{where}: scale", self.scale, Scale)
         require_choice(f"{where}: quantity", self.quantity, Quantity)
         if isinstance(self.aggregates, str) or not self.aggregates:
-            raise PluginError(f"{where}: aggregates is {self.aggregates!r}; it is a tuple of names")
+            raise PluginError(f"{where}: aggregates is {self.aggregates!r}; it must be a tuple of names")
         for how in self.aggregates:
             require_choice(f"{where}: aggregate", how, Aggregate)
         object.__setattr__(self, "label", self.label or self._plain_name())

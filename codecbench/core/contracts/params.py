@@ -28,7 +28,7 @@ class Params(BaseModel):
 
 
 class NoParams(Params):
-    """For plugins that have nothing to set."""
+    """Parameters of a plugin that has none."""
 
 
 P = TypeVar("P", bound=Params)

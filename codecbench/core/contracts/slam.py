@@ -103,4 +103,4 @@ class SlamBackend(Configured[P]):
 
         Raises Unsupported for features of another pyramid than its own.
         """
-        raise Unsupported(f"slam backend {self.name} takes images, not features")
+        raise Unsupported(f"slam backend {self.name} accepts images, not features")

@@ -57,7 +57,7 @@ class KeypointOverlay:
         if self.places.ndim != 2 or self.places.shape[1] != 2 or self.kept.shape != self.places.shape[:1]:
             raise PluginError(
                 f"marks {self.note!r}: places have shape {self.places.shape} and kept {self.kept.shape}; "
-                "they are (N, 2) and (N,)"
+                "they must be (N, 2) and (N,)"
             )
 
 
@@ -76,7 +76,7 @@ class TimelineRow:
         require_choice(f"row {self.name!r}: tone", self.tone, Tone)
         if self.holds.ndim != 1 or self.holds.dtype != np.bool_:
             raise PluginError(
-                f"row {self.name!r}: holds has shape {self.holds.shape} of {self.holds.dtype}; it is (N,) of bool"
+                f"row {self.name!r}: holds has shape {self.holds.shape} of {self.holds.dtype}; it must be (N,) of bool"
             )
 
 
@@ -103,13 +103,13 @@ class FrameTimeline:
         shape = None if self.positions is None else self.positions.shape
         if shape not in (None, (count, 2)) or self.errors.shape != (count,):
             raise PluginError(
-                f"timeline: {count} frames, positions {shape} and errors {self.errors.shape}; they are (N, 2) and (N,)"
+                f"timeline: {count} frames, positions {shape} and errors {self.errors.shape}; must be (N, 2) and (N,)"
             )
         for row in self.rows:
             if len(row.holds) != count:
                 raise PluginError(f"timeline: row {row.name!r} is of {len(row.holds)} frames; the timeline has {count}")
         if any(np.isinf(values).any() for values in (self.positions, self.errors) if values is not None):
-            raise PluginError("timeline: a position or error is infinite; what is not known is NaN")
+            raise PluginError("timeline: a position or error is infinite; use NaN for unknown values")
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Line:
     def __post_init__(self) -> None:
         require_choice(f"line {self.name!r}: stroke", self.stroke, Stroke)
         if self.points.ndim != 2 or self.points.shape[1] != 2:
-            raise PluginError(f"line {self.name!r}: points have shape {self.points.shape}; they are (N, 2)")
+            raise PluginError(f"line {self.name!r}: points have shape {self.points.shape}; they must be (N, 2)")
 
 
 @former_names(course="timeline")
@@ -144,7 +144,7 @@ class Drawing:
 
     def __post_init__(self) -> None:
         if isinstance(self.axes, str) or len(self.axes) not in (0, 2):
-            raise PluginError(f"drawing {self.caption!r}: axes is {self.axes!r}; it names both axes, or none")
+            raise PluginError(f"drawing {self.caption!r}: axes is {self.axes!r}; it must name both axes or none")
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -82,12 +82,14 @@ class _Checker:
         owner, result = self._type(expression.value), self._type(statement.target)
         if not isinstance(owner, types.Array):
             if self._origin(expression.value) not in ("exhaust_iter", "getattr"):
-                self._fail(statement, "indexes what is no array", "unpack a tuple into names, pass tables as arrays")
+                self._fail(
+                    statement, "indexes a value other than an array", "unpack a tuple into names, pass tables as arrays"
+                )
             return
         index = expression.index if expression.op == "getitem" else expression.index_var
         is_view = index is not None and any(isinstance(part, _VIEWS) for part in _parts(self._type(index)))
         if not is_view and not _is_number(result):
-            self._fail(statement, "takes a row with one index too few", "write a[i, :] or a[i, j]")
+            self._fail(statement, "indexes a row with one index too few", "write a[i, :] or a[i, j]")
 
     def _check_store(self, statement: Any) -> None:
         owner, value = self._type(statement.target), self._type(statement.value)

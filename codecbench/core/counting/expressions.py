@@ -146,7 +146,7 @@ class Expressions:
 
     def _name(self, node: ast.Name, tally: Tally, index: bool) -> ast.expr:
         if node.id.startswith(PREFIX):
-            raise self.error(node, f"uses the name {node.id}", f"names starting with {PREFIX} are taken")
+            raise self.error(node, f"uses the name {node.id}", f"names starting with {PREFIX} are reserved")
         return node
 
     def _constant(self, node: ast.Constant, tally: Tally, index: bool) -> ast.expr:

@@ -38,7 +38,7 @@ class Kernel:
 
     def __init__(self, function: FunctionType, options: dict[str, Any]) -> None:
         if not isinstance(function, FunctionType):
-            raise TypeError(f"@kernel takes a plain function, got {function!r}")
+            raise TypeError(f"@kernel needs a plain function, got {function!r}")
         functools.update_wrapper(self, function)
         self.python = self.py_func = function
         """The function as written; numba dispatchers call it `py_func`."""

@@ -40,7 +40,7 @@ def counting_tree(tree: ast.FunctionDef, function: FunctionType) -> tuple[ast.Fu
         defaults=[],
     )
     if tree.args.vararg or tree.args.kwarg or tree.args.kwonlyargs:
-        raise rewriter.error(tree, "takes *, ** or keyword-only arguments", "name each argument")
+        raise rewriter.error(tree, "has *, ** or keyword-only parameters", "name each argument")
     counting = ast.FunctionDef(tree.name + "__counting", arguments, flat, decorator_list=[])
     return ast.fix_missing_locations(ast.copy_location(counting, tree)), rewriter.kernels
 

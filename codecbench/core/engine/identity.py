@@ -43,7 +43,7 @@ def seed_from(identity: str, seed: int) -> int:
 
 
 def _no_number(literal: str) -> NoReturn:
-    raise ValueError(f"{literal} is not a number that JSON knows")
+    raise ValueError(f"{literal} is not a JSON number")
 
 
 def _finite(literal: str) -> float:

@@ -61,17 +61,17 @@ def describe_error(error: BaseException) -> str:
     try:
         return f"{kind}: {error}"
     except BaseException as secondary:  # noqa: BLE001 - a broken message must not fail here
-        return f"{kind}, whose message raises {type(secondary).__name__}"
+        return f"{kind} (its message raises {type(secondary).__name__})"
 
 
 def describe_exit(status: int) -> str:
     """Describe how a process ended, from its status, which is negative if a signal ended it."""
     if status >= 0:
-        return f"it ended its process with status {status}"
+        return f"its process exited with status {status}"
     try:
-        return f"it ended its process by {signal.Signals(-status).name}"
+        return f"its process was killed by {signal.Signals(-status).name}"
     except ValueError:  # the signal has no name
-        return f"it ended its process by signal {-status}"
+        return f"its process was killed by signal {-status}"
 
 
 def counted(count: int, noun: str) -> str:

@@ -65,7 +65,7 @@ def _is_trusted(folder: Path, *, may_be_missing: bool = False) -> bool:
     except OSError as error:
         if may_be_missing and isinstance(error, FileNotFoundError):
             return True
-        reason = f"it cannot be looked at ({error.strerror})"
+        reason = f"it cannot be inspected ({error.strerror})"
     if reason is not None:
         refuse(folder, reason)
     return reason is None
@@ -89,7 +89,7 @@ def objection(facts: os.stat_result) -> str | None:
     if facts.st_uid not in (0, current_user()):
         return f"it belongs to {_name(facts.st_uid)}"
     if facts.st_mode & _WRITABLE_BY_OTHERS:
-        return f"others than its owner may write to it ({stat.filemode(facts.st_mode)})"
+        return f"users other than its owner may write to it ({stat.filemode(facts.st_mode)})"
     return None
 
 
@@ -99,9 +99,9 @@ def refuse(path: Path, reason: str) -> None:
         return
     _reported.add(str(path))
     log.warning(
-        "%s: compiled kernels are not taken from here: %s; allowed is what you or root own and nobody else may write, "
-        "for they are run as code. They are kept elsewhere or compiled in memory; to use this place: "
-        "chown it, `chmod -R go-w` it, or set CODECBENCH_CACHE to a folder of your own",
+        "%s: compiled kernels are not loaded from here: %s; only you or root may own and write them, because they are "
+        "run as code. They are stored elsewhere or compiled in memory; to use this place: chown it, `chmod -R go-w` "
+        "it, or set CODECBENCH_CACHE to a folder of your own",
         path,
         reason,
     )

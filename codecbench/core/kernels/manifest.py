@@ -82,7 +82,7 @@ class Entry:
         """Copy its machine code into a folder. Raises ManifestError as `is_cached` does, or if there is no code."""
         content = next((content for file in self.files() if (content := read_trusted(file))), None)
         if content is None:
-            raise ManifestError(f"kernel {self.kernel} ({self.build}) is not kept on disk, and cannot be copied")
+            raise ManifestError(f"kernel {self.kernel} ({self.build}) is not stored on disk and cannot be copied")
         write_atomically(folder / self.files()[0].name, content)
 
     def _resolve(self) -> tuple[Any, tuple[Any, ...]]:
@@ -110,7 +110,7 @@ def entries_of(name: str) -> tuple[Entry, ...]:
             entries = _read(path)
             return tuple(entry for entry in entries if f"{entry.kernel}.".replace(":", ".").startswith(f"{name}."))
         package = package.rpartition(".")[0]
-    raise ManifestError(f"no {MANIFEST} beside {name} or above it; record it: codecbench warm-up --help")
+    raise ManifestError(f"no {MANIFEST} for {name} in its package or above; record it: codecbench warm-up --help")
 
 
 def manifest_file(package: str, entries: Iterable[Entry]) -> tuple[Path, bytes]:

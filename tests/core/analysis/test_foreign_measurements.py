@@ -65,7 +65,7 @@ def codecbench_evaluators():
 """
 REASONS = {
     "exits": "SystemExit: no",
-    "leaves": "it ended its process with status 3",
+    "leaves": "its process exited with status 3",
     "hangs": "no answer",
 }
 CODECS = "[{use: shift, params: {bits: {grid: [0, 1, 2, 3]}}}]"

@@ -56,7 +56,7 @@ class Shuffling(Ideal):
 
 @pytest.mark.parametrize(
     ("link", "words"),
-    [(Hasty, "and the delay"), (Moody, "two answers"), (Shuffling, "or later")],
+    [(Hasty, "plus the delay"), (Moody, "other passages"), (Shuffling, "or later")],
 )
 def test_a_link_that_breaks_the_contract_is_found(link: type[Link[Any]], words: str) -> None:
     with pytest.raises(AssertionError, match=words):

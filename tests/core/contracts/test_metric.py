@@ -41,7 +41,7 @@ def test_a_metric_needs_no_more_than_its_first_four_fields() -> None:
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("better", "up", "metric 'x': better is 'up'; it is one of higher, lower, neither"),
+        ("better", "up", "'x': better is 'up'; .* higher, lower, neither"),
         ("role", "speed", "role is 'speed'; "),
         ("scale", "root", "'root'; .* linear, log$"),
         ("aggregates", ("mean", "mode"), "'mode'; .* mean, std"),
@@ -98,7 +98,7 @@ def test_an_evaluator_that_names_what_it_does_not_declare_is_refused(
 
 def test_a_witness_must_be_declared_too() -> None:
     wall = Metric("wall_ms", "ms", "lower", "", confirmed_by="cpu_ms")
-    with pytest.raises(PluginError, match="Wrong: metric 'wall_ms' names 'cpu_ms'; declared are wall_ms"):
+    with pytest.raises(PluginError, match=r"Wrong: .*'wall_ms' names 'cpu_ms'; "):
         type("Wrong", (SequenceEvaluator,), {"metrics": (wall,)})
 
 
@@ -208,13 +208,13 @@ def test_a_lane_says_of_each_frame_whether_it_holds(tone: Any, holds: np.ndarray
 
 
 def test_marks_have_a_verdict_for_each_place() -> None:
-    with pytest.raises(PluginError, match=r"they are \(N, 2\) and \(N,\)"):
+    with pytest.raises(PluginError, match=r"\(N, 2\) and \(N,\)"):
         KeypointOverlay(np.zeros((3, 2)), np.zeros(2, bool), "two of three")
 
 
 @pytest.mark.parametrize("axes", [("time",), "time", ("a", "b", "c")])
 def test_a_drawing_names_both_axes_or_none(axes: object) -> None:
-    with pytest.raises(PluginError, match="names both axes"):
+    with pytest.raises(PluginError, match="both axes"):
         Drawing((), "it", None, axes)  # type: ignore[arg-type]
 
 

@@ -71,10 +71,7 @@ def uncountable(body: str, folder: Path) -> str:
     ("body", "message"),
     [
         ("return [x for x in b]", "uses '[x for x in b]'"),
-        (
-            "return sum(b)",
-            "calls 'sum', which cannot be counted; call a @kernel, or a function listed",
-        ),
+        ("return sum(b)", "calls 'sum', "),
         ("return np.sum(b)", "calls 'np.sum'"),
         ("return b.sum()", "calls 'b.sum'"),
         ("return plain(b[0])", "calls 'plain'"),
@@ -107,8 +104,8 @@ def uncountable(body: str, folder: Path) -> str:
         ("a[1] = 0", "stores a whole array"),
         ("a[1, :] = b", "stores a whole array"),
         ("return b[b]", "one index too few"),
-        ("return PAIR[b[0]]", "is no array"),
-        ("c = (b[0], b[1])\nreturn c[1]", "is no array"),
+        ("return PAIR[b[0]]", "other than an array"),
+        ("c = (b[0], b[1])\nreturn c[1]", "other than an array"),
     ],
 )
 def test_what_cannot_be_counted_is_refused_with_its_line(

@@ -152,8 +152,8 @@ def test_what_a_matrix_calls_is_recorded(recorded: Place) -> None:
 @pytest.mark.thorough
 def test_a_matrix_gets_the_builds_that_it_needs_once(place: Place) -> None:
     out = place.call("warm-up", "fast.yaml")
-    assert "compiled: kernel halving.kernels:halve fast" in out
-    assert "1 kernels to compile, 0 failed" in out
+    assert "halving.kernels:halve fast" in out
+    assert numbers_of(out) == (1, 0)
     assert place.kept == ["halving.kernels.halve.fast", "halving.kernels.halved.fast"]
     out = place.call("warm-up", "counting.yaml")
     assert numbers_of(out) == (1, 0), "what is there is not compiled again"

@@ -179,5 +179,5 @@ def test_features_are_refused_by_what_needs_images(tmp_path: Path) -> None:
         list(TrajectoryEvaluator.create(backend="told").evaluate(coded, where))
     with pytest.raises(Unsupported, match="corners sends features"):
         list(TrajectoryEvaluator.create(backend="told", architecture="atc").evaluate(coded, where))
-    with pytest.raises(Unsupported, match="told takes images"):
+    with pytest.raises(Unsupported, match="told accepts images"):
         Told(helix(COUNT)).run_features([], CAMERA, seed=0)

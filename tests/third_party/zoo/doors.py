@@ -23,14 +23,14 @@ def codecbench_codecs():
 
 DOORS: dict[str, tuple[str, str]] = {
     "exits": ("import sys\nsys.exit(0)", "SystemExit: 0"),
-    "leaves": ("import os\nos._exit(0)", ENDED + "with status 0"),
+    "leaves": ("import os\nos._exit(0)", ENDED + "exited with status 0"),
     "raises": ("raise RuntimeError('\\x1b[31mred')", "RuntimeError: \\x1b[31mred"),
     "interrupts": ("raise KeyboardInterrupt", "KeyboardInterrupt"),
     "sleeps": ("import time\ntime.sleep(3600)", NO_ANSWER),
     "spins": ("while True:\n    pass", NO_ANSWER),
     "stops": ("import os\nos.kill(os.getpid(), 19)", NO_ANSWER),
-    "dies": ("import os\nos.kill(os.getpid(), 9)", ENDED + "by SIGKILL"),
-    "segfaults": ("import ctypes\nctypes.string_at(0)", ENDED + "by SIGSEGV"),
+    "dies": ("import os\nos.kill(os.getpid(), 9)", ENDED + "was killed by SIGKILL"),
+    "segfaults": ("import ctypes\nctypes.string_at(0)", ENDED + "was killed by SIGSEGV"),
     "broken": ("def (", "SyntaxError"),
     "incomplete": ("import not_there", "ModuleNotFoundError"),
     "recurses": ("def again():\n    again()\nagain()", "RecursionError"),
@@ -41,7 +41,7 @@ DOORS: dict[str, tuple[str, str]] = {
     ),
     "unhooked": (_SPECS + "[][0]", "codecbench_codecs failed: IndexError"),
     "hook_exits": (_SPECS + "__import__('sys').exit(0)", "SystemExit: 0"),
-    "silent": (_SPECS + "7", "returned 7; it returns a list of PluginSpec"),
+    "silent": (_SPECS + "7", "returned 7; it must return a list of PluginSpec"),
     "textual": (_SPECS + "'jpeg'", "returned 'jpeg'; "),
     "numbered": (_SPECS + "[PluginSpec(5, 'a.b:C', '')]", "codec name 5 is not of the form"),
     "slashed": (_SPECS + "[PluginSpec('../jpeg', 'a.b:C', '')]", "codec name '../jpeg' "),
@@ -67,7 +67,7 @@ DOORS: dict[str, tuple[str, str]] = {
         "    except OSError:\n        pass\nos._exit(0)",
         NONSENSE,
     ),
-    "slams": ("import os\nos.closerange(0, 1024)", ENDED + "with status 1"),
+    "slams": ("import os\nos.closerange(0, 1024)", ENDED + "exited with status 1"),
     "trickles": (
         "import os, signal, time\nsignal.signal(signal.SIGALRM, signal.SIG_IGN)\nwhile time.sleep(1e-3) is None:\n"
         "    for fd in range(3, 16):\n        try:\n            os.write(fd, b' ')\n"
@@ -76,14 +76,14 @@ DOORS: dict[str, tuple[str, str]] = {
     ),
     "orphans": (
         "import os, signal\nos.kill(os.getppid(), signal.SIGKILL)\nsignal.pause()",
-        ENDED + "by SIGKILL",
+        ENDED + "was killed by SIGKILL",
     ),
     "forks": ("import os\nos.fork()", ""),
     "breeds": ("import os\nfor _ in range(4):\n    os.fork()", ""),
     "prints": ("print('hello from a door\\n' * 10**6)\nimport sys\nprint('hello from a door', file=sys.stderr)", ""),
     "patches": (
         "import builtins, json, numpy\njson.dumps = builtins.open = numpy.mean = lambda *_, **__: 42.0",
-        ENDED + "with status 1",
+        ENDED + "exited with status 1",
     ),
     "lingers": (
         "import atexit, threading, time\natexit.register(time.sleep, 3600)\n"

@@ -49,7 +49,7 @@ def largest_bytes(name: str) -> int:
 
 def _check_name(name: str) -> str:
     if not (_NAME_PATTERN.fullmatch(name) and name.isprintable() and len(name.encode()) <= _LONGEST_NAME):
-        raise ValueError(f"{clean_line(name)!r} is no name of a file of a run")
+        raise ValueError(f"{clean_line(name)!r} is not the name of a file of a run")
     return name
 
 
@@ -136,7 +136,7 @@ def _require_small_directory(stream: BinaryIO, size: int) -> None:
     stream.seek(max(0, size - _END.size))
     end = stream.read(_END.size)
     if len(end) < _END.size or not end.startswith(b"PK\x05\x06") or _END.unpack(end)[-1]:
-        raise ValueError("it does not end as a bundle does: truncated, or no bundle at all")
+        raise ValueError("it does not end like a bundle: truncated, or not a bundle")
     length, start = _END.unpack(end)[5:7]
     locator_at = size - _END.size - _LOCATOR.size
     if locator_at >= 0:
@@ -146,11 +146,11 @@ def _require_small_directory(stream: BinaryIO, size: int) -> None:
             stream.seek(min(end64_at, size))
             length, start = _END64.unpack(stream.read(_END64.size))[8:10]
     if length > min(size, _LARGEST_DIRECTORY):
-        raise ValueError(f"its list of files takes {length:,} bytes")
+        raise ValueError(f"its list of files has {length:,} bytes")
     stream.seek(start)
     count = stream.read(length).count(_ENTRY_MAGIC)
     if count > MOST_FILES:
-        raise ValueError(f"it holds {count:,} files; at most {MOST_FILES:,} are taken")
+        raise ValueError(f"it has {count:,} files; at most {MOST_FILES:,} are allowed")
     stream.seek(0)
 
 
@@ -162,18 +162,18 @@ def _check_members(infos: list[zipfile.ZipInfo], packed_bytes: int) -> dict[str,
         if name != MANIFEST:
             _FILE_NAME.validate_python(name)
         if name in members:
-            raise ValueError(f"it holds two files {name!r}")
+            raise ValueError(f"it has two files {name!r}")
         if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG) or info.is_dir():
             raise ValueError(f"{name!r} is a link, a folder or a device")
         if info.flag_bits & _ENCRYPTED or info.compress_type not in _METHODS:
             raise ValueError(f"{name!r} is encrypted or packed by another method than deflate")
         if info.file_size > largest_bytes(name):
-            raise ValueError(f"{name!r} has {info.file_size:,} bytes; at most {largest_bytes(name):,} are taken")
+            raise ValueError(f"{name!r} has {info.file_size:,} bytes; at most {largest_bytes(name):,} are allowed")
         members[name] = info
     _require_apart(infos)
     unpacked, limit = sum(info.file_size for info in infos), _SLACK + _MOST_RATIO * packed_bytes
     if unpacked > limit:
-        raise ValueError(f"{packed_bytes:,} bytes of it would unpack to {unpacked:,}; at most {limit:,} are taken")
+        raise ValueError(f"its {packed_bytes:,} bytes would unpack to {unpacked:,}; at most {limit:,} are allowed")
     return members
 
 
@@ -182,7 +182,7 @@ def _require_apart(infos: list[zipfile.ZipInfo]) -> None:
     end = 0
     for info in sorted(infos, key=lambda info: info.header_offset):
         if info.header_offset < end:
-            raise ValueError(f"{info.filename!r} lies over another file")
+            raise ValueError(f"{info.filename!r} overlaps another file")
         end = info.header_offset + info.compress_size
 
 
@@ -196,7 +196,7 @@ def _manifest(archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> 
     actual = {name: info.file_size for name, info in members.items() if name != MANIFEST}
     if listed != actual:
         wrong = sorted(name for name in listed.keys() | actual.keys() if listed.get(name) != actual.get(name))
-        raise ValueError(f"{wrong[0]!r} is not as {MANIFEST} says, and {len(wrong) - 1} more")
+        raise ValueError(f"{wrong[0]!r} does not match {MANIFEST}, and {len(wrong) - 1} more")
     for name in ("plan.json", "matrix.yaml"):
         if name not in listed:
             raise ValueError(f"it has no {name}")

@@ -83,12 +83,12 @@ def _require_openable(path: Path) -> None:
 def _sound_entries(store: Store, plan: Plan) -> dict[str, IndexEntry]:
     """Return the index entries of the plan's cells that have a record."""
     if store.in_use():
-        raise StoreError(f"{store.folder} is being written to; bundle it when its run has ended")
+        raise StoreError(f"a run is writing to {store.folder}; bundle it when the run has ended")
     sound, damaged = store.sound_entries(cell.id for cell in plan.cells)
     if damaged:
         cell_id, reason = next(iter(damaged.items()))
         message = f"{store.folder} has {len(damaged)} damaged records (of cell {cell_id}: {reason})"
-        raise StoreError(f"{message}; run its matrix again, which computes them, then bundle it")
+        raise StoreError(f"{message}; run its matrix again to compute them, then bundle it")
     if not sound:
         raise StoreError(f"{store.folder} has no results yet; `codecbench run` computes them")
     return sound
@@ -144,7 +144,7 @@ def unpack_bundle(path: Path, folder: Path) -> Manifest:
     then as before.
     """
     if folder.exists() or folder.is_symlink():
-        raise StoreError(f"{folder} is there already; name another folder with --out")
+        raise StoreError(f"{folder} already exists; choose another folder with --out")
     missing = [parent for parent in folder.parents if not parent.exists()]
     try:
         return _unpack(path, folder)
@@ -160,7 +160,7 @@ def _unpack(path: Path, folder: Path) -> Manifest:
         make_folder(folder.parent)
         total = sum(facts.size for facts in bundle.manifest.files.values())
         if total > (free := shutil.disk_usage(folder.parent).free):
-            raise StoreError(f"{path} unpacks to {total:,} bytes; {folder.parent} has {free:,} left")
+            raise StoreError(f"{path} unpacks to {total:,} bytes; {folder.parent} has {free:,} free")
         with open_whole_folder(folder) as new:
             for name, facts in bundle.manifest.files.items():
                 target = new / name

@@ -193,7 +193,7 @@ class Channel:
                 self._serve(message)
                 continue
             if message.get("number") != number:
-                raise PluginNonsense("it answered nonsense")
+                raise PluginNonsense("it sent an invalid answer")
             if "value" in message:
                 return message["value"]
             raise self._error(message, name)
@@ -217,7 +217,7 @@ class Channel:
         self._calls += 1
         try:
             if self._calls > _MOST_CALLS:
-                raise RecursionError(f"{_MOST_CALLS} calls wait for each other")
+                raise RecursionError(f"more than {_MOST_CALLS} nested calls")
             answer = {"number": number, "value": self._run_call(message)}
         except BaseException as error:  # noqa: BLE001 - whatever foreign code does becomes the answer
             answer = {"number": number, **self._error_message(error)}
@@ -239,11 +239,11 @@ class Channel:
         module, _, function = name.partition(":")
         if function:
             if not self.obeys:
-                raise WireError("it may not ask for that")
+                raise WireError(f"it may not call {name}")
             subject = () if target is None else (target.value if isinstance(target, Exposed) else target,)
             return getattr(importlib.import_module(module), function)(*subject, *arguments, **words)
         if not isinstance(target, Exposed) or name not in METHODS[target.kind]:
-            raise WireError(f"there is no {name} to call")
+            raise WireError(f"{name} is not a method that it may call")
         value, kind = getattr(target.value, name)(*arguments, **words), METHODS[target.kind][name]
         kind = str(arguments[0]) if kind == "created" else kind
         return Exposed(kind, value) if kind in METHODS else value
@@ -270,7 +270,7 @@ class Channel:
         returned = message.get("returned")
         if isinstance(returned, int) and 0 <= returned < len(self._raised):
             return self._raised[returned]
-        name, text = str(message.get("error") or ""), str(message.get("text", "it answered nonsense"))
+        name, text = str(message.get("error") or ""), str(message.get("text", "it sent an invalid answer"))
         if name == "StopIteration" and called == "__next__":  # elsewhere it would silently end a loop here
             return StopIteration()
         error_class: Any = vars(errors).get(name)
@@ -307,7 +307,7 @@ class Channel:
         number = reference["object"]
         if reference.get("owner") == "receiver":
             if not (isinstance(number, int) and 0 <= number < len(self._mine) and self._mine[number]):
-                raise WireError("an object that it was not given")
+                raise WireError("it refers to an object that it did not receive")
             return self._mine[number]
         if (remote_object := self._theirs.get(number)) is None:
             make_remote = importlib.import_module(_REMOTE).remote  # here, because it loads all contracts
@@ -330,10 +330,10 @@ class Channel:
             self._wait(self._reads, select.POLLIN)
             part = os.read(self._reads, 1 << 16)
             if not part:
-                raise EOFError("the conversation is over")
+                raise EOFError("the connection is closed")
             content += part
             if len(content) > _MOST_BYTES:
-                raise PluginNonsense(f"it answered with more than {_MOST_BYTES >> 20} MB")
+                raise PluginNonsense(f"its answer has more than {_MOST_BYTES >> 20} MB")
         line, _, rest = bytes(content).partition(b"\n")
         self._left = rest
         try:
@@ -342,7 +342,7 @@ class Channel:
         except PluginFault:
             raise
         except Exception as error:
-            raise PluginNonsense("it answered nonsense") from error
+            raise PluginNonsense("it sent an invalid answer") from error
         if not isinstance(message, dict):
-            raise PluginNonsense("it answered nonsense")
+            raise PluginNonsense("it sent an invalid answer")
         return message

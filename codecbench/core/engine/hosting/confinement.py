@@ -44,7 +44,7 @@ def confinement() -> str:
             raise _confinement_error(str(error)) from error
     if process.returncode != 0:
         reason = " ".join(process.stderr.split()[-40:]) or f"exit status {process.returncode}"
-        raise _confinement_error(f"the system does not let it: {reason}")
+        raise _confinement_error(f"the system forbids it: {reason}")
     from codecbench.core.engine.hosting.supervisor import USER  # loads ctypes, which slows `codecbench list`
 
     return f"namespaces, user {USER}"
@@ -104,8 +104,8 @@ def _confinement_error(reason: str) -> CodecbenchError:
     """Return an error whose cause is the machine and not the user."""
     error = CodecbenchError(
         f"plugins cannot be confined on {platform.node()}: {reason}; confinement needs Linux 5.12 and user namespaces "
-        "(sysctl user.max_user_namespaces above 0; where they exist, kernel.unprivileged_userns_clone=1 and "
-        f"kernel.apparmor_restrict_unprivileged_userns=0): have them allowed, or leave out --confine and {VARIABLE}"
+        "(sysctl user.max_user_namespaces above 0; if they exist, kernel.unprivileged_userns_clone=1 and "
+        f"kernel.apparmor_restrict_unprivileged_userns=0): enable them, or leave out --confine and {VARIABLE}"
     )
     error.__cause__ = OSError(reason)
     return error

@@ -203,7 +203,7 @@ class Host:
             status = self._process.wait(1.0)
             loss = PluginLoss(describe_exit(128 - status if status > 128 else status))
         except subprocess.TimeoutExpired:
-            return PluginLoss("it closed the connection of its process")
+            return PluginLoss("its process closed the connection")
         with suppress(OSError), open(self._folder / CRASH_FILE, errors="replace", opener=open_plain) as file:
             if trace := file.read(LONGEST_TRACE):
                 loss.add_note(f"in its host:\n{trace}")

@@ -38,7 +38,7 @@ class Remote:
             return self.facts[name]
         if name in vars(self).get("_methods", ()):
             return partial(self.call, name)
-        raise AttributeError(f"{name} is nothing that can be asked of an object of another process")
+        raise AttributeError(f"{name} cannot be used on an object of another process")
 
     def __len__(self) -> int:
         return len(self.sequence if self.kind == "coded" else self.timestamps_s)
@@ -85,7 +85,7 @@ class RemoteCodec(Remote, AnyCodec[Any]):
         self.stateless, self.capabilities = facts["stateless"], facts["capabilities"]  # type: ignore[misc]
         self.params = RemoteParams(**facts["params"])
         if not isinstance(self.capabilities, Capabilities) or self.carries not in ("pictures", "features"):
-            raise PluginFault(f"{self.name}: capabilities or carries are not those of a codec")
+            raise PluginFault(f"{self.name}: its capabilities or carries are invalid")
         here = cast("Callable[[], Remote]", lambda: self)
         self._encoding, self._decoding = encoding or here, decoding or here
 

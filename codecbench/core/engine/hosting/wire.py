@@ -177,7 +177,7 @@ def _class_by_name(name: Any, objects: Objects, is_allowed: Callable[[type], boo
     for part in qualified.split("."):
         cls = vars(cls).get(part) if cls is not None else None
     if not isinstance(cls, type) or not is_allowed(cls):
-        raise WireError(f"{str(name)[:100]} is no record")
+        raise WireError(f"{str(name)[:100]} is not a record")
     return cls
 
 

@@ -42,7 +42,7 @@ def axes(params: Mapping[str, Any], where: Where, problems: Problems) -> list[Ax
     count = math.prod(len(axis) for axis in result)
     if count > MOST_SETTINGS:
         lengths = " x ".join(str(len(axis)) for axis in result if len(axis) > 1)
-        problems.add(where, f"{lengths} = {count:,} settings; at most {MOST_SETTINGS:,} are planned")
+        problems.add(where, f"{lengths} = {count:,} settings; at most {MOST_SETTINGS:,} are allowed")
         return [Axis("", ())]
     return result
 
@@ -56,7 +56,7 @@ def points(spanned: Sequence[Axis]) -> Iterator[Point]:
 def axis_hint(name: str, value: Any) -> str:
     """Explain how to write an axis if a rejected value looks like an attempt at one; otherwise return ""."""
     if isinstance(value, list):
-        return f"; for a setting of each of these write `{name}: {{grid: {format_value(value)}}}`"
+        return f"; to plan a setting for each, write `{name}: {{grid: {format_value(value)}}}`"
     if not (isinstance(value, Mapping) and len(value) == 1):
         return ""
     ((kind, choices),) = value.items()

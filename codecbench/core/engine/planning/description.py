@@ -108,9 +108,7 @@ def describe(
             raise InvalidParams(answer["invalid"], answer["fields"])
         canonical_json(answer)
     except (TypeError, ValueError) as error:
-        raise PluginFault(
-            f"{registry.find(kind, name).title}: it says of itself what has no spelling: {error}"
-        ) from None
+        raise PluginFault(f"{registry.find(kind, name).title}: its description is not valid JSON: {error}") from None
     return Description(**{**answer, "declared": clean_value(answer.get("declared", {}))})
 
 
@@ -146,9 +144,9 @@ def description_fields(
 def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
     for metric in evaluator.metrics:
         if clean_line(metric.name) != metric.name or len(metric.name) > _LONGEST_NAME:
-            raise PluginError(f"metric {metric.name[:40]!r}... has a name that is not short and plain text")
+            raise PluginError(f"the name of metric {metric.name[:40]!r}... is not short and plain text")
     if not 1 <= evaluator.repeats <= _MOST_REPEATS:
-        raise PluginError(f"{type(evaluator).__name__}.repeats is {evaluator.repeats}; it is 1 to {_MOST_REPEATS}")
+        raise PluginError(f"{type(evaluator).__name__}.repeats is {evaluator.repeats}; it must be 1 to {_MOST_REPEATS}")
     return {
         **_identities(params, [evaluator.repeat_identity(repeat) for repeat in range(evaluator.repeats)]),
         "declared": evaluator_declaration(evaluator),
@@ -171,16 +169,16 @@ def _identities(params: Params, identities: list[dict[str, Any]]) -> dict[str, A
 def _channels(codec: Any) -> list[int]:
     channels = [int(count) for count in codec.capabilities.channels]
     if not channels or not {1, 3}.issuperset(channels):
-        raise PluginError(f"{type(codec).__name__}.capabilities.channels is {channels}; it holds 1, 3 or both")
+        raise PluginError(f"{type(codec).__name__}.capabilities.channels is {channels}; it must contain 1, 3 or both")
     return channels
 
 
 def _version(cls: Any) -> str:
     version = cls.version
     if not isinstance(version, str):
-        raise PluginError(f"{cls.__name__}.version is {version!r}; it is a string")
+        raise PluginError(f"{cls.__name__}.version is {version!r}; it must be a string")
     if clean_line(version) != version:
-        raise PluginError(f"{cls.__name__}.version is {version[:40]!r}...; it is short and plain text")
+        raise PluginError(f"{cls.__name__}.version is {version[:40]!r}...; it must be short and plain text")
     return version
 
 
@@ -198,11 +196,11 @@ def describe_sequence(registry: Registry, name: str, params: dict[str, Any]) -> 
     """Open a dataset's sequence and return what a plan stores about it. Raises DatasetError."""
     sequence = registry.create("dataset", name, params).open()
     if not isinstance(sequence, FrameSequence):
-        raise PluginError(f"open returned {type(sequence).__name__}; it returns a FrameSequence")
+        raise PluginError(f"open returned {type(sequence).__name__}; it must return a FrameSequence")
     facts = {"name": sequence.name, "fingerprint": sequence.fingerprint}
     for attribute, value in facts.items():
         if not isinstance(value, str) or not value:
-            raise PluginError(f"{type(sequence).__name__}.{attribute} is {value!r}; it is a string")
+            raise PluginError(f"{type(sequence).__name__}.{attribute} is {value!r}; it must be a string")
     _check_frames(sequence)
     return {
         **facts,
@@ -220,7 +218,7 @@ def describe_sequence(registry: Registry, name: str, params: dict[str, Any]) -> 
 def _notes(sequence: FrameSequence) -> list[str]:
     notes = sequence.notes
     if not isinstance(notes, tuple) or not all(isinstance(note, str) for note in notes):
-        raise PluginError(f"{type(sequence).__name__}.notes is {type(notes).__name__}; it is a tuple of strings")
+        raise PluginError(f"{type(sequence).__name__}.notes is {type(notes).__name__}; it must be a tuple of strings")
     return [clean_line(note) for note in notes[:_MOST_NOTES]]
 
 
@@ -230,7 +228,7 @@ def _check_frames(sequence: FrameSequence) -> None:
     if frames == 0:
         raise PluginError(f"{title} has no frames")
     if sequence.channels not in (1, 3):
-        raise PluginError(f"{title}.channels is {sequence.channels!r}; it is 1 or 3")
+        raise PluginError(f"{title}.channels is {sequence.channels!r}; it must be 1 or 3")
     stamps_s = np.asarray(sequence.timestamps_s, np.float64)
     if stamps_s.shape != (frames,):
         raise PluginError(f"{title}.timestamps_s has shape {stamps_s.shape}; there are {frames} frames")

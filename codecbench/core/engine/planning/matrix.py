@@ -96,7 +96,7 @@ def matrix_from(
     try:
         text = content if isinstance(content, str) else json.dumps(content, indent=2, default=os.fspath)
     except TypeError as error:
-        raise MatrixError(f"matrix: {error}; a matrix is made of mappings, lists, texts, numbers and paths") from None
+        raise MatrixError(f"matrix: {error}; a matrix has mappings, lists, strings, numbers and paths") from None
     return _check_matrix(Path("matrix"), text, parse_yaml(text, "matrix"), folder or Path.cwd(), registry)
 
 
@@ -112,7 +112,7 @@ def _check_matrix(path: Path, text: str, root: Any, folder: Path, registry: Regi
         problems.add(("version",), f"must be {VERSION}; got {plain_value(root.get('version'))!r}")
     name = plain_value(root.get("name", path.stem))
     if not (isinstance(name, str) and _NAME.fullmatch(name)):
-        problems.add(("name",), f"{format_value(name)} is not made of letters, digits, '.', '_' and '-'")
+        problems.add(("name",), f"{format_value(name)} may have only letters, digits, '.', '_' and '-'")
     sections = {section: reader.section(section, root.get(section)) for section in _SECTIONS}
     run = reader.run_section(root.get("run") or {})
     anchors = _anchors(root.get("anchors"), sections["codecs"], problems)
@@ -157,9 +157,7 @@ class _Reader:
         self.problems.unknown(where, item, ("use", *more, "params"))
         name = plain_value(item.get("name"))
         if name is not None and not (isinstance(name, str) and _NAME.fullmatch(name)):
-            self.problems.add(
-                (*where, "name"), f"{format_value(name)} is not made of letters, digits, '.', '_' and '-'"
-            )
+            self.problems.add((*where, "name"), f"{format_value(name)} may have only letters, digits, '.', '_' and '-'")
             return
         params = item.get("params") or {}
         if not isinstance(params, Mapping):
@@ -281,5 +279,5 @@ def require_plannable(
     cells = math.prod(counts.values())
     if cells > _MOST_CELLS:
         spelled = " x ".join(f"{count:,} {section}" for section, count in counts.items())
-        problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are planned")
+        problems.add((), f"{spelled} = {cells:,} cells; at most {_MOST_CELLS:,} are allowed")
         problems.raise_any()

@@ -63,7 +63,7 @@ def find_objective(
     if len(candidates) == 1:
         evaluator, metric, stage, aggregate = candidates[0]
         if aggregate not in metric.aggregates:
-            message = f"{metric.name} is not summarised as {aggregate}; it is as {', '.join(metric.aggregates)}"
+            message = f"{metric.name} has no aggregate {aggregate}; it has {', '.join(metric.aggregates)}"
             problems.add((*where, "metric"), message)
             return None
         bound = section.bound
@@ -148,7 +148,7 @@ class UntilSection(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     decided: ObjectiveSection = Field(
-        description="a metric of role success by its name, or {metric: NAME, min: NUMBER}"
+        description="the name of a metric of role success, or {metric: NAME, min: NUMBER}"
     )
 
     @field_validator("decided", mode="before")
@@ -160,7 +160,7 @@ class UntilSection(BaseModel):
     @classmethod
     def _bounded(cls, value: ObjectiveSection) -> ObjectiveSection:
         if value.equal is not None:
-            raise ValueError("takes min or max: a repeat meets it or does not")
+            raise ValueError("must have min or max, not equal")
         return value
 
 
@@ -175,12 +175,12 @@ def find_decided_objective(
     if objective is None:
         return None
     if isinstance(plain_value(root["run"]["until"]["decided"]), str) and objective.metric.role != "success":
-        message = f"{objective.metric.name} is no success or failure; give it a limit: {{metric: NAME, max: NUMBER}}"
+        message = f"{objective.metric.name} is not a success metric; give it a limit: {{metric: NAME, max: NUMBER}}"
         problems.add(where, message)
         return None
     if repeats_of(objective.evaluator.title, evaluators) < 2:
         problems.add(
-            where, f"evaluator {objective.evaluator.title} has a single repeat; give it as many as may be spent"
+            where, f"evaluator {objective.evaluator.title} has one repeat; set the most repeats that may be run"
         )
         return None
     return objective

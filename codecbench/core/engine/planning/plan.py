@@ -150,7 +150,7 @@ def _open_sequences(matrix: Matrix, registry: Registry) -> list[SequenceEntry]:
             label = setting.label or setting.name
             name = f"{name} {label}"
         if name in entries:
-            problems.add(entry.where, f"another sequence is called {name!r}; give this one a `name`")
+            problems.add(entry.where, f"another sequence is called {name!r}; give this one a different `name`")
             continue
         entries[name] = replace(sequence, name=name)
     problems.raise_any()
@@ -166,7 +166,7 @@ def _reject_duplicate_fingerprints(entries: list[SequenceEntry]) -> list[Sequenc
         entry
         if owners[entry.fingerprint].dataset.distribution == entry.dataset.distribution
         else _unopened_sequence(
-            entry.dataset, f"{entry.dataset.full_name}: its fingerprint is that of {owners[entry.fingerprint].name}"
+            entry.dataset, f"{entry.dataset.full_name}: it has the same fingerprint as {owners[entry.fingerprint].name}"
         )
         for entry in entries
     ]
@@ -268,8 +268,9 @@ def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side) -> str
         return evaluator.missing
     allowed = codec.description.channels
     if sequence.channels not in allowed:
-        accepted = " or ".join("gray" if count == 1 else "colour" for count in allowed)
-        return f"codec {codec.setting.name} takes {accepted} frames; {sequence.name} has {sequence.channels} channel(s)"
+        accepted = " or ".join("gray" if count == 1 else "color" for count in allowed)
+        channels = f"{sequence.name} has {sequence.channels} channel(s)"
+        return f"codec {codec.setting.name} accepts {accepted} frames; {channels}"
     if "camera" in evaluator.description.needs and not sequence.has_camera:
         return f"evaluator {evaluator.setting.name} needs a calibrated camera; {sequence.name} has none"
     if "ground_truth" in evaluator.description.needs and not sequence.has_ground_truth:

@@ -89,7 +89,7 @@ def find_searches(codecs: Sequence[Entry], evaluators: Sequence[Entry], problems
         settings = tuple(entry.setting for entry in entries)
         if spec.section is None:
             if not any(entry.description and entry.description.declared["reference"] == "baseline" for entry in codecs):
-                problems.add(where, "a setting passes beside the baseline, and there is none; add the codec raw")
+                problems.add(where, "`search: passes` compares with a baseline; add the codec raw")
             searches.append(Search(None, spec.axes, settings))
             continue
         objective = find_objective(spec.section, evaluators, where, problems)

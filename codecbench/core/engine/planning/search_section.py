@@ -23,14 +23,14 @@ _MISSING_EXTRA: Final = "a search over several parameters needs optuna; run: pip
 
 
 class ObjectiveSection(BaseModel):
-    """A metric and the value that it is to have: `metric` with one of `min`, `max` and `equal`."""
+    """A metric and its target value: `metric` with one of `min`, `max` and `equal`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    metric: str = Field(description="[EVALUATOR.]METRIC[.STAGE][.AGGREGATE], as a column of the table is called")
-    min: _Number | None = Field(default=None, description="the least value that will do")
-    max: _Number | None = Field(default=None, description="the greatest value that will do")
-    equal: _Number | None = Field(default=None, description="the value that is to be reached as nearly as can be")
+    metric: str = Field(description="[EVALUATOR.]METRIC[.STAGE][.AGGREGATE], as in the table's column names")
+    min: _Number | None = Field(default=None, description="the minimum value")
+    max: _Number | None = Field(default=None, description="the maximum value")
+    equal: _Number | None = Field(default=None, description="the value to reach as closely as possible")
 
     @model_validator(mode="after")
     def _one_bound(self) -> ObjectiveSection:
@@ -47,8 +47,8 @@ class ObjectiveSection(BaseModel):
 class SearchSection(ObjectiveSection):
     """The `search:` of a codec entry."""
 
-    within: float = Field(default=0.0, ge=0, description="how far from `equal` is near enough, in the metric's unit")
-    budget: int = Field(default=50, ge=1, le=100_000, description="the most settings that are tried on a sequence")
+    within: float = Field(default=0.0, ge=0, description="tolerance around `equal`, in the metric's unit")
+    budget: int = Field(default=50, ge=1, le=100_000, description="maximum number of settings tried on a sequence")
 
 
 @dataclass(frozen=True)
@@ -90,20 +90,20 @@ def read_search_spec(
     word = "search" if "search" in item else "at"
     place = (*where, word)
     if "search" in item and "at" in item:
-        problems.add((*where, "at"), "is short for a search, and there is one; leave out one of the two")
+        problems.add((*where, "at"), "is short for `search`, which this entry also has; leave out one of the two")
         return None
     value = _from_short_form(item[word]) if word == "at" else item[word]
     passes = word == "search" and value == PASSES
     section = None if passes else read_section(SearchSection, value, place, problems)
     varied = tuple(axis for axis in axes if len(axis) > 1)
     if not varied:
-        message = "there is nothing to choose from; give a parameter `{range: [first, last, step]}` or `{grid: [...]}`"
+        message = "a search needs a parameter with several values: `{range: [first, last, step]}` or `{grid: [...]}`"
         problems.add(place, message)
         return None
     for axis in varied:
         _require_ordered(axis, (*where, "params", axis.name), problems)
     if len(varied) > 1 and passes:
-        problems.add(place, f"one parameter may vary; got {' and '.join(axis.name for axis in varied)}")
+        problems.add(place, f"only one parameter may vary; got {' and '.join(axis.name for axis in varied)}")
         return None
     if len(varied) > 1 and find_spec("optuna") is None:
         problems.add(place, _MISSING_EXTRA)
@@ -124,6 +124,6 @@ def _require_ordered(axis: Axis, where: Where, problems: Problems) -> None:
     numbers = [value for value in values if isinstance(value, int | float) and not isinstance(value, bool)]
     steps = list(pairwise(numbers))
     if not (all(a < b for a, b in steps) or all(a > b for a, b in steps)):
-        problems.add(where, "a search needs values in order, from one end to the other; these go up and down")
+        problems.add(where, "a search needs ascending or descending values; these are neither")
     elif len({repr(value) for value in values}) < len(values):
-        problems.add(where, "a search needs values in order; one of these comes twice")
+        problems.add(where, "a search needs distinct values; one of these occurs twice")

@@ -65,7 +65,7 @@ def require_bounded(text: str, source: str) -> None:
     rejected. Raises ruamel's YAMLError if the text is not YAML.
     """
     if len(text) > MOST_CHARACTERS:
-        raise MatrixError(f"{source}: longer than {MOST_CHARACTERS:,} characters, which no matrix is")
+        raise MatrixError(f"{source}: longer than {MOST_CHARACTERS:,} characters, the limit of a matrix")
     try:
         problem = next(((event.start_mark, message) for event, message in _problems(text)), None)
     except _TooDeep as error:
@@ -102,7 +102,7 @@ def _problems(text: str) -> Iterator[tuple[Any, str]]:
                 sizes[event.anchor] = 1
         values = sum(part.values for part in path)
         if values > _MOST_VALUES:
-            yield event, f"more than {_MOST_VALUES:,} values up to here, counting what aliases repeat"
+            yield event, f"more than {_MOST_VALUES:,} values up to here, including those that aliases repeat"
 
 
 def _problem(event: Event, path: list[_Open]) -> str | None:
@@ -110,7 +110,7 @@ def _problem(event: Event, path: list[_Open]) -> str | None:
     if (tag := getattr(event, "tag", None)) is not None:
         return f"tag {tag!r}: a matrix has plain values only; leave the tag out"
     if isinstance(event, AliasEvent) and any(part.anchor == event.anchor for part in path):
-        return f"*{event.anchor} stands inside what it stands for, which never ends"
+        return f"*{event.anchor} refers to a value that contains it"
     if isinstance(event, ScalarEvent) and len(event.value) > _MOST_DIGITS and not event.value.strip("+-0123456789_"):
         return f"a number of {len(event.value):,} digits"
     if not isinstance(event, CollectionStartEvent):
@@ -166,7 +166,7 @@ def load_yaml(path: Path) -> tuple[str, Any]:
     """Return the text of a YAML file and its content with positions. Raises MatrixError."""
     try:
         if path.exists() and not path.is_file():
-            raise MatrixError(f"{path}: not a plain file; a matrix is a text file of YAML")  # a pipe might never end
+            raise MatrixError(f"{path}: not a plain file; a matrix is a YAML text file")  # a pipe might never end
         with path.open(encoding="utf-8") as file:
             text = file.read(MOST_CHARACTERS + 1)
     except FileNotFoundError:

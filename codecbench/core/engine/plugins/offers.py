@@ -70,7 +70,7 @@ def _parse_offers(origin: str, value: Any) -> Offers:
                 raise ValueError(spec)
             plugins.append((Plugin(values["kind"], spec, origin, hosted=True), str(values["entry_point"])))
     except (LookupError, TypeError, ValueError, AttributeError):
-        raise PluginError("it answered nonsense") from None
+        raise PluginError("it sent an invalid answer") from None
     return Offers(plugins, problems)
 
 

@@ -87,7 +87,7 @@ def _unmet_requirements(distribution: str, libraries: tuple[str, ...]) -> list[s
             if requirement.name.replace("-", "_") in libraries:
                 version = importlib.metadata.version(requirement.name)
                 if not requirement.specifier.contains(version, prereleases=True):
-                    unmet.append(f"{requirement.name} {requirement.specifier}, not {version} which is installed")
+                    unmet.append(f"{requirement.name} {requirement.specifier}, but {version} is installed")
     return unmet
 
 
@@ -112,9 +112,9 @@ def fault_of(kind: Kind, spec: PluginSpec) -> str | None:
         return f"{kind} {spec.name}: target {spec.target!r} is not package.module:Class"
     for field in ("summary", "extra"):
         if not isinstance(getattr(spec, field), str):
-            return f"{kind} {spec.name}: {field} is {getattr(spec, field)!r}; it is text"
+            return f"{kind} {spec.name}: {field} is {getattr(spec, field)!r}; it must be text"
     if not isinstance(spec.requires, list | tuple) or not all(isinstance(name, str) for name in spec.requires):
-        return f"{kind} {spec.name}: requires is {spec.requires!r}; it is a tuple of names of modules"
+        return f"{kind} {spec.name}: requires is {spec.requires!r}; it must be a tuple of module names"
     return None
 
 
@@ -169,7 +169,7 @@ def load_class(kind: Kind, spec: PluginSpec, title: str) -> Any:
         raise PluginError(f"{title}: {spec.target} is not a subclass of {allowed}")
     name = getattr(cls, "name", None)
     if name != spec.name:
-        raise PluginError(f"{title}: {spec.target} calls itself {name!r}")
+        raise PluginError(f"{title}: {spec.target} has the name {name!r}, not {spec.name!r}")
     for attribute in dict.fromkeys(name for ancestor in base.__mro__ for name in inspect.get_annotations(ancestor)):
         if not hasattr(cls, attribute):
             raise PluginError(f"{title}: {spec.target} has no class attribute {attribute!r}")

@@ -97,7 +97,7 @@ class Registry:
         names = [plugin.spec.name for plugin in self.plugins(kind)]
         if not nameless or difflib.get_close_matches(name, names, n=1):
             return None
-        return f"no {kind_title(kind)} is called {name!r}; it may be of {'; or of '.join(nameless)}"
+        return f"no {kind_title(kind)} is called {name!r}; it may belong to {'; or to '.join(nameless)}"
 
     def suggestion(self, kind: Kind, name: str) -> str:
         """Return what the writer of an unknown name may have meant."""
@@ -194,7 +194,7 @@ class Registry:
         for answer in answers:
             specs = answer if isinstance(answer, list | tuple) else [answer]
             if len(specs) > _MOST_PLUGINS:
-                reason = f"codecbench_{kind}s offers {len(specs):,} plugins; at most {_MOST_PLUGINS:,} are taken"
+                reason = f"codecbench_{kind}s offers {len(specs):,} plugins; at most {_MOST_PLUGINS:,} are allowed"
                 self._report(origin, point, reason, nameless=True)
                 continue
             for spec in specs:
@@ -203,7 +203,7 @@ class Registry:
 
     def _admit_spec(self, kind: Kind, spec: object, origin: str, point: EntryPoint) -> None:
         if not isinstance(spec, PluginSpec):
-            self._report(origin, point, f"codecbench_{kind}s returned {spec!r}; it returns a list of PluginSpec")
+            self._report(origin, point, f"codecbench_{kind}s returned {spec!r}; it must return a list of PluginSpec")
         elif (fault := fault_of(kind, spec)) is not None:
             self._report(origin, point, fault)
         else:

@@ -33,9 +33,8 @@ class _Change:
         names = list(self.names)
         options = " ".join(f"--recompute {name}" for name in names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")
         cells = f"{len(self.cells)} kept cell{'s' if len(self.cells) > 1 else ''}"
-        return (
-            f"{title}: other code made {cells} ({self.description}); to make them again: codecbench run ... {options}"
-        )
+        made = f"{title}: other code computed {cells} ({self.description})"
+        return f"{made}; to recompute them: codecbench run ... {options}"
 
 
 def code_notices(plan: Plan, kept_entries: Mapping[str, IndexEntry], store: Store, registry: Registry) -> list[str]:

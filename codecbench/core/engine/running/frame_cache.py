@@ -20,7 +20,7 @@ def cache_limit_bytes(memory_mb: int) -> int:
 def check_frame(frame: object, channels: int) -> Frame:
     """Return `frame` after checking that it is a Frame with an image of `channels` channels."""
     if not isinstance(frame, Frame):
-        raise DatasetError(f"read returned {type(frame).__name__}; it returns a Frame")
+        raise DatasetError(f"read returned {type(frame).__name__}; it must return a Frame")
     check_image(frame.image, (channels,))
     return frame
 

@@ -100,9 +100,9 @@ def _artifacts(folder: Path) -> dict[str, bytes]:
 
 def _check_name(name: str, is_file: bool = True) -> None:
     if not is_file or name in (RECORD_FILE, SAMPLES_FILE) or name.startswith("."):
-        raise MeasurementError(f"artifact {name!r} is a folder or takes a name that the engine uses")
+        raise MeasurementError(f"artifact {name!r} is a folder or has a name that the engine uses")
     if "/" in name or not name.isprintable():
-        raise MeasurementError(f"artifact {name!r} has a name that cannot be printed or is of another folder")
+        raise MeasurementError(f"artifact {name!r} has an unprintable name or is in another folder")
 
 
 def measure_in_host(

@@ -110,7 +110,7 @@ def _changed_default(cell: Cell, store: Store) -> str | None:
         return None  # damaged or gone: reported elsewhere
     stored = [described.get("codec"), described.get("evaluator"), *described.get("uses", ())]
     for before, setting in zip(stored, (cell.codec, cell.evaluator, *cell.evaluator.uses), strict=False):
-        reason = _changed_parameter(before["params"], setting) if before else "its record does not say which"
+        reason = _changed_parameter(before["params"], setting) if before else "its record does not have the parameters"
         if reason is not None:
             return f"{setting.kind} {setting.name}: {reason}"
     return None
@@ -131,15 +131,15 @@ def _requested_by_name(plan: Plan, recompute: Iterable[str]) -> dict[str, str]:
     matched: set[str] = set()
     for job in plan.jobs:
         if hit := names & {job.sequence.name, job.codec.name}:
-            reasons[job.id] = f"{', '.join(sorted(hit))} was asked for"
+            reasons[job.id] = f"{', '.join(sorted(hit))} was requested"
     for cell in plan.cells:
         if hit := names & {cell.sequence.name, cell.codec.name, cell.evaluator.name}:
-            reasons[cell.id] = f"{', '.join(sorted(hit))} was asked for"
+            reasons[cell.id] = f"{', '.join(sorted(hit))} was requested"
             matched |= hit
     known = {name for cell in plan.cells for name in (cell.sequence.name, cell.codec.name, cell.evaluator.name)}
     for name in sorted(names - matched):
         nearest = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {nearest[0]!r}? " if nearest else ""
-        message = f"nothing to recompute is called {name!r}; {hint}this matrix has"
+        message = f"no codec, evaluator or sequence is called {name!r}; {hint}this matrix has"
         raise ParamsError(f"{message} {', '.join(sorted(known))}")
     return reasons

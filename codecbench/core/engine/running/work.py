@@ -229,14 +229,14 @@ def _evaluate(cell: Cell, item: WorkItem, bench: Workbench, position: WorkPositi
 def _remarks(codec: AnyCodec[Any]) -> tuple[str, ...]:
     remark = codec.remark()
     if not isinstance(remark, str):
-        raise PluginError(f"remark returned {clean_line(repr(remark))}; it returns text")
+        raise PluginError(f"remark returned {clean_line(repr(remark))}; it must return text")
     return (clean_line(remark),) if remark else ()
 
 
 def _libraries(codec: AnyCodec[Any]) -> dict[str, str]:
     versions = codec.libraries()
     if not isinstance(versions, dict) or not all(isinstance(text, str) for pair in versions.items() for text in pair):
-        raise PluginError(f"libraries returned {clean_line(repr(versions))}; it returns names with their versions")
+        raise PluginError(f"libraries returned {clean_line(repr(versions))}; it must return names with their versions")
     return {clean_line(name): clean_line(version) for name, version in versions.items()}
 
 

@@ -125,7 +125,7 @@ class BitstreamFile:
         self.digest, self._entries = self._read_index()
         self._places = {entry[3]: place for place, entry in enumerate(self._entries)} if self.is_stream else None
         if self._places is not None and self._places.keys() != set(range(len(self._entries))):
-            raise BitstreamDamage(f"{self._name}: damaged (its packets are not one of each frame)")
+            raise BitstreamDamage(f"{self._name}: damaged (not one packet for each frame)")
 
     def __len__(self) -> int:
         return len(self._entries)
@@ -154,14 +154,12 @@ class BitstreamFile:
     def _check_owner(self, job_id: str) -> None:
         magic, owner = self._data[: len(_MAGIC)], self._data[len(_MAGIC) : _START]
         if magic == _EARLIER:
-            raise BitstreamDamage(
-                f"{self._name}: an earlier version wrote it, without saying whose bitstreams they are"
-            )
+            raise BitstreamDamage(f"{self._name}: written by an earlier version, without the id of its job")
         if magic not in (_MAGIC, _STREAM, _EARLIER_STREAM) or len(owner) != _ID_BYTES:
             raise BitstreamDamage(f"{self._name}: not a file of bitstreams, or truncated ({len(self._data)} bytes)")
         if owner != _owner(job_id):
             actual = owner.decode("ascii", "backslashreplace").rstrip()
-            raise BitstreamDamage(f"{self._name}: holds the bitstreams of job {actual}, not of {job_id}")
+            raise BitstreamDamage(f"{self._name}: contains the bitstreams of job {actual}, not of {job_id}")
 
     def _read_index(self) -> tuple[bytes, list[tuple[Any, ...]]]:
         """Return the digest, and each index entry: offset, size, CRC, and for packets what `_sent_packet` takes."""

@@ -144,7 +144,7 @@ class EnvironmentFiles:
         """Return all sound descriptions, their texts cleaned; log a warning for each damaged one."""
         descriptions, damaged = self._read()
         for name, reason in damaged.items():
-            log.warning("%s is damaged (%s); what it said is left out", self._path(name), reason)
+            log.warning("%s is damaged (%s) and is left out", self._path(name), reason)
         return descriptions
 
     def damaged(self) -> dict[str, str]:

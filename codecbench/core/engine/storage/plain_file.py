@@ -44,7 +44,7 @@ def refuse_links(folder: Path, depth: int, root: Path | None = None) -> None:
     for entry in entries:
         if entry.is_symlink() and not Path(entry.path).resolve().is_relative_to(root):
             target = os.readlink(entry.path)
-            message = f"{entry.path} is a link to {target}, out of the run folder; links are not followed out of it"
-            raise StoreError(f"{message}: put a file or folder of its own there, or remove it")
+            message = f"{entry.path} is a link to {target}, outside the run folder; such links are not followed"
+            raise StoreError(f"{message}: replace it with a file or folder, or remove it")
         if depth > 1 and entry.is_dir(follow_symlinks=False):
             refuse_links(Path(entry.path), depth - 1, root)

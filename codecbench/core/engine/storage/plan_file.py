@@ -123,7 +123,7 @@ class PlanFile:
         document = self._document()
         origin = document.get("origin")
         if not isinstance(origin, dict):
-            return "a place that it does not name"
+            return "an unknown place"
         if is_from_here(digest(document["plan"]), origin):
             return None
         return clean_line(f"{origin.get('path')} on {origin.get('host')} by {origin.get('user')}")
@@ -141,5 +141,5 @@ class PlanFile:
         with suppress(OSError):
             if clean_text(read_plain(self._matrix_path).decode(errors="replace")) == plan.matrix_text:
                 return
-        message = "%s is damaged or missing: it is not what the plan was made of; the next run writes it again"
+        message = "%s is missing or not the matrix of the plan; the next run writes it again"
         log.warning(message, self._matrix_path)

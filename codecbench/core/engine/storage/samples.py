@@ -54,7 +54,7 @@ class MeasurementCheck:
         if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
             raise MeasurementError(f"{name}: a value is a number, got {type(value).__name__}")
         if math.isnan(value) and not measurement.reason:
-            raise MeasurementError(f"{name}: NaN without a reason; a missing value says why it is missing")
+            raise MeasurementError(f"{name}: NaN without a reason; a missing value needs one")
         for text in (measurement.stage, measurement.reason):
             if text is not None and not isinstance(text, str):
                 raise MeasurementError(f"{name}: stage and reason are text, got {type(text).__name__}")

@@ -117,7 +117,7 @@ class Store:
             is_complete = len(BitstreamFile(path, job_id)) == frames
             if is_complete and not self.encoders.damaged(job_id):
                 return True
-            reason = "its note of who encoded it is damaged" if is_complete else "it has another number of frames"
+            reason = "the note of its encoder is damaged" if is_complete else "it has another number of frames"
         except BitstreamDamage as error:
             reason = str(error)
         self.drop_coded(job_id, reason)

@@ -82,7 +82,7 @@ def refused_file(path: Path, match: str) -> None:
     ],
 )  # fmt: skip
 def test_a_name_that_is_none_of_a_runs_files(sound: Path, place: Path, name: str) -> None:
-    refused(place, [*members_of(sound), (zipfile.ZipInfo(name), b"harm")], "is no name of a file of a run|is a link")
+    refused(place, [*members_of(sound), (zipfile.ZipInfo(name), b"harm")], "not the name|is a link")
 
 
 def test_a_name_with_a_zero_byte(sound: Path, place: Path) -> None:
@@ -91,7 +91,7 @@ def test_a_name_with_a_zero_byte(sound: Path, place: Path) -> None:
         for info, data in [*members_of(sound), (zipfile.ZipInfo(f"{RECORD}/aXb"), b"harm")]:
             archive.writestr(info, data)
     path.write_bytes(path.read_bytes().replace(b"aXb", b"a\0b"))
-    refused_file(path, "is no name of a file of a run")
+    refused_file(path, "not the name")
 
 
 @pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR, stat.S_IFBLK, stat.S_IFSOCK, stat.S_IFDIR])
@@ -108,7 +108,7 @@ def test_two_files_of_one_name(sound: Path, place: Path) -> None:
 
 def test_a_file_that_the_manifest_does_not_name(sound: Path, place: Path) -> None:
     extra = (zipfile.ZipInfo(f"{RECORD}/extra.txt"), b"smuggled")
-    refused(place, [*members_of(sound), extra], "extra.txt' is not as manifest.json says", listed=False)
+    refused(place, [*members_of(sound), extra], r"extra\.txt.*manifest\.json", listed=False)
 
 
 @pytest.mark.parametrize("name", ["manifest.json", "plan.json", "matrix.yaml"])
@@ -132,8 +132,8 @@ def test_a_file_that_is_not_what_was_bundled(sound: Path, place: Path) -> None:
 @pytest.mark.parametrize(
     ("ending", "match"),
     [
-        ("plan.json", r"hostile\.zip is refused: its plan\.json is damaged .*; nothing of it was unpacked"),
-        ("record.json", "none of its 2 cells has a record that can be read"),
+        ("plan.json", r"hostile\.zip .*plan\.json is"),
+        ("record.json", "none of its 2 cells"),
         ("trajectory.txt", "none of its 2 cells"),
     ],
 )
@@ -168,7 +168,7 @@ def test_a_manifest_without_an_end(sound: Path, place: Path) -> None:
 
 def test_a_file_that_unpacks_to_very_much(sound: Path, place: Path) -> None:
     bomb = (zipfile.ZipInfo(f"{RECORD}/frames.parquet"), bytes(100_000_000))
-    refused(place, [*members_of(sound), bomb], r"of it would unpack to 100,\d+,\d+; at most 7\d,")
+    refused(place, [*members_of(sound), bomb], r" 100,\d+,\d+; at most 7\d,")
 
 
 def test_a_size_that_is_a_lie(sound: Path, place: Path) -> None:
@@ -197,22 +197,22 @@ def test_files_that_lie_over_each_other(sound: Path, place: Path) -> None:
     at = content.index(second.filename.encode(), directory) - 46
     content[at + 42 : at + 46] = struct.pack("<L", first.header_offset + 1)
     path.write_bytes(content)
-    refused_file(path, "lies over another file|Overlapped|is refused")
+    refused_file(path, "overlaps another file|Overlapped|is refused")
 
 
 def test_too_many_files(sound: Path, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(container, "MOST_FILES", 5)
-    refused(place, members_of(sound), r"it holds \d+ files; at most 5")
+    refused(place, members_of(sound), r"\d+ files; at most 5")
 
 
 def test_a_list_of_files_that_is_too_long(sound: Path, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(container, "_LARGEST_DIRECTORY", 100)
-    refused(place, members_of(sound), "its list of files takes")
+    refused(place, members_of(sound), "list of files")
 
 
 def test_a_file_that_is_too_large(sound: Path, place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(container, "largest_bytes", lambda name: 10)
-    refused(place, members_of(sound), "at most 10 are taken")
+    refused(place, members_of(sound), "at most 10 ")
 
 
 def test_encrypted_or_packed_otherwise(sound: Path, place: Path) -> None:
@@ -270,16 +270,16 @@ def files(folder: Path) -> list[Path]:
 def test_a_disk_without_room(sound: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage = type("Usage", (), {"free": 10})
     monkeypatch.setattr(packing.shutil, "disk_usage", lambda folder: usage)
-    with pytest.raises(StoreError, match="has 10 left"):
+    with pytest.raises(StoreError, match="has 10 free"):
         unpack_bundle(sound, tmp_path / "opened")
 
 
 def test_a_folder_that_is_there_is_left_alone(sound: Path, tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
-    with pytest.raises(StoreError, match="is there already"):
+    with pytest.raises(StoreError, match="already exists"):
         unpack_bundle(sound, tmp_path / "mine")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(StoreError, match="is there already"):
+    with pytest.raises(StoreError, match="already exists"):
         unpack_bundle(sound, tmp_path / "link")
     with pytest.raises(StoreError, match="no such file"):
         unpack_bundle(tmp_path / "absent.zip", tmp_path / "opened")

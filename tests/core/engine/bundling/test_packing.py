@@ -75,7 +75,7 @@ def test_a_changed_value_gives_other_bytes(run: Path, tmp_path: Path) -> None:
 
 
 def test_a_run_that_is_damaged_empty_or_under_way_is_not_bundled(run: Path, tmp_path: Path) -> None:
-    with folder_lock.hold_lock(run / "lock"), pytest.raises(StoreError, match="being written to"):
+    with folder_lock.hold_lock(run / "lock"), pytest.raises(StoreError, match="is writing to"):
         write_bundle(run)
     (trajectory, *_) = run.glob("records/*/*/trajectory.txt")
     trajectory.write_bytes(b"changed")

@@ -92,11 +92,11 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("value", HOSTILE, ids=lambda value: json.dumps(value)[:60])
-def test_a_value_that_nobody_sends_is_nonsense(stranger: Stranger, value: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_value_is_an_invalid_answer(stranger: Stranger, value: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, UNLOADED, raising=False)
     stranger.memory.write([bytes(4)])
     stranger.says({"number": 1, "value": value}, 4)
-    with pytest.raises(PluginNonsense, match="it answered nonsense"):
+    with pytest.raises(PluginNonsense, match="invalid answer"):
         stranger.asked()
     assert UNLOADED not in sys.modules
 
@@ -112,11 +112,11 @@ def test_a_value_that_nobody_sends_is_nonsense(stranger: Stranger, value: Any, m
     ],
     ids=lambda line: line[:40].decode(errors="replace"),
 )  # fmt: skip
-def test_a_line_that_nobody_writes_is_nonsense(stranger: Stranger, line: bytes) -> None:
+def test_an_invalid_line_is_an_invalid_answer(stranger: Stranger, line: bytes) -> None:
     if len(line) > 1 << 15:
         fcntl.fcntl(stranger.writes, fcntl.F_SETPIPE_SZ, 1 << 18)
     stranger.writes_line(line)
-    with pytest.raises(PluginNonsense, match="it answered nonsense"):
+    with pytest.raises(PluginNonsense, match="invalid answer"):
         stranger.asked()
 
 
@@ -145,9 +145,9 @@ def test_who_is_asked_may_call_nothing_that_it_was_not_given(stranger: Stranger,
     _, *answers = stranger.hears()
     assert [answer.get("value") for answer in answers] == [None, None, None, 10, None]
     outside, hidden, nobody, _, wrong = [str(answer.get("text")) for answer in answers]
-    assert re.search(r"^WireError: .*may not ask", outside)
-    assert re.search(r"^WireError: .* no __reduce_ex__ ", hidden)
-    assert re.search(r"^WireError: .* no __call__ ", nobody)
+    assert re.search(r"^WireError: .*os:mkdir", outside)
+    assert re.search(r"^WireError: __reduce_ex__ ", hidden)
+    assert re.search(r"^WireError: __call__ ", nobody)
     assert re.search(r"^TypeError: 'int' .*not iterable", wrong)
     assert list(tmp_path.iterdir()) == []
 
@@ -161,7 +161,7 @@ def test_calls_that_wait_for_each_other_are_counted(stranger: Stranger) -> None:
     assert stranger.asked(asked) == 1
     answers = [heard for heard in stranger.hears() if "call" not in heard]
     told = [(answer["number"], answer.get("value", answer.get("text"))) for answer in answers]
-    too_many = "RecursionError: 20 calls wait for each other"
+    too_many = "RecursionError: more than 20 nested calls"
     assert told == [(120, too_many), (121, too_many), *((119 - n, 21 - n) for n in range(20))]
 
 

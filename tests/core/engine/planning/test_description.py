@@ -98,7 +98,7 @@ def test_a_number_of_repeats_that_cannot_be_is_refused(
     registry: Registry, monkeypatch: pytest.MonkeyPatch, repeats: int
 ) -> None:
     monkeypatch.setattr(plain_plugins.ErrorEvaluator, "repeats", repeats, raising=False)
-    with pytest.raises(PluginError, match=f"repeats is {repeats}; it is 1 to"):
+    with pytest.raises(PluginError, match=f"repeats is {repeats}; "):
         describe(registry, "evaluator", "error", {})
 
 
@@ -127,7 +127,7 @@ def test_notes_that_are_no_sentences_are_refused(
     registry: Registry, monkeypatch: pytest.MonkeyPatch, notes: object
 ) -> None:
     monkeypatch.setattr(plain_plugins.RampSequence, "notes", notes)
-    with pytest.raises(PluginError, match=rf"RampSequence\.notes is {type(notes).__name__}; it is a tuple"):
+    with pytest.raises(PluginError, match=rf"RampSequence\.notes is {type(notes).__name__}; "):
         describe_sequence(registry, "ramp", {"frames": 9})
 
 
@@ -136,10 +136,10 @@ def test_notes_that_are_no_sentences_are_refused(
     ("top", "construct", "said"),
     [
         ("import sys; sys.exit(0)", "pass", "SystemExit: 0"),
-        ("import os; os._exit(0)", "pass", "process with status 0"),
+        ("import os; os._exit(0)", "pass", "exited with status 0"),
         ("import time; time.sleep(3600)", "pass", "within 4 s"),
         ("", "raise RuntimeError('not today')", "RuntimeError: not today"),
-        ("", "os._exit(5)", "process with status 5"),
+        ("", "os._exit(5)", "exited with status 5"),
     ],
     ids=["exits", "leaves", "hangs", "raises", "leaves when constructed"],
 )
@@ -151,6 +151,6 @@ def test_an_executor_is_tried_in_a_host_first(tmp_path: Path, top: str, construc
     done = place.call("run", "m.yaml", CODECBENCH_PLUGIN_TIMEOUT_S="4")
     assert done.status == 2, done.output
     assert "m.yaml:6:" in done.stderr
-    assert "executor odd of odd-distribution 1" in done.stderr
-    assert said in done.stderr
+    for fact in ("executor odd", "odd-distribution 1", said):
+        assert fact in done.stderr
     assert "Traceback" not in done.output

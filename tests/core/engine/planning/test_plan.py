@@ -86,11 +86,12 @@ def test_what_cannot_be_computed_here_says_why(plan) -> None:  # type: ignore[no
     text = MATRIX.replace("evaluators: [error", "  - absent\n  - uninstalled\nevaluators: [camera, error")
     reasons = {(c.codec.name, c.evaluator.name): c.unsupported for c in plan(text).cells}
     assert reasons["shift", "error"] is None
-    assert "needs a calibrated camera; ramp has none" in reasons["shift", "camera"]
+    assert "calibrated camera; ramp" in reasons["shift", "camera"]
     assert "apt install libabsent" in reasons["absent", "error"]
     assert "pip install 'nothing'" in reasons["uninstalled", "error"]
     colour = plan(MATRIX.replace("frames: 4", "frames: 4, channels: 3"))
-    assert "takes gray frames; ramp has 3 channel(s)" in colour.cells[0].unsupported
+    for fact in ("gray", "ramp has 3 "):
+        assert fact in colour.cells[0].unsupported
     assert colour.jobs == ()
 
 

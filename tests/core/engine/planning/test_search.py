@@ -41,36 +41,33 @@ def problems(bench: SearchBench, matrix: str) -> str:
 @pytest.mark.parametrize(
     ("entry", "said"),
     [
-        ("search: {metric: wieght_bytes, min: 1}", "codecs[0].search.metric: no evaluator of this matrix measures"),
-        ("search: {metric: wieght_bytes, min: 1}", "did you mean 'weight_bytes'? there are weight_bytes, caught"),
-        ("at: {weight_bytes.p95: 1}", "codecs[0].at.metric: weight_bytes is not summarised as p95; it is as mean, max"),
+        ("search: {metric: wieght_bytes, min: 1}", "codecs[0].search.metric: no evaluator"),
+        ("search: {metric: wieght_bytes, min: 1}", "'weight_bytes'? there are weight_bytes, caught"),
+        ("at: {weight_bytes.p95: 1}", "codecs[0].at.metric: weight_bytes has no aggregate p95; it has mean, max"),
         ("at: {nothing: 1}", "codecs[0].at.metric: no evaluator"),
-        ("search: {metric: weight_bytes}", "codecs[0].search: needs one of min, max and equal; got none"),
+        ("search: {metric: weight_bytes}", "codecs[0].search: needs one of min, max"),
         ("search: {metric: weight_bytes, min: 1, max: 2}", "got min and max"),
         ("search: {metric: weight_bytes, min: 1, budget: 0}", "search.budget: "),
         ("search: {metric: weight_bytes, min: .nan}", "codecs[0].search.min: "),
         ("search: {metric: weight_bytes, min: heavy}", "codecs[0].search.min: "),
         ("search: {metric: weight_bytes, equal: 3, within: -1}", "search.within: "),
         ("search: {metric: weight_bytes, least: 3}", "codecs[0].search.least: unknown; allowed: metric, min"),
-        ("search: 3", "codecs[0].search: must be a mapping such as {metric: NAME, min: NUMBER}, or passes; got 3"),
+        ("search: 3", "{metric: NAME, min: NUMBER}, or passes; got 3"),
         ("at: {weight_bytes: 3, caught: 1}", "codecs[0].at: must be a mapping"),
-        ("at: 0.5", "codecs[0].at: must be a mapping such as {METRIC: NUMBER}; got 0.5"),
-        (
-            "search: passes",
-            "codecs[0].search: a setting passes beside the baseline, and there is none; add the codec raw",
-        ),
+        ("at: 0.5", "{METRIC: NUMBER}; got 0.5"),
+        ("search: passes", "add the codec raw"),
         ("search: fails", "codecs[0].search: must be a mapping"),
-        ("at: {weight_bytes: 3}, search: {metric: weight_bytes, min: 3}", "codecs[0].at: is short for a search"),
+        ("at: {weight_bytes: 3}, search: {metric: weight_bytes, min: 3}", "codecs[0].at: is short for "),
     ],
 )
-def test_what_cannot_be_sought_is_said_with_its_place(bench: SearchBench, entry: str, said: str) -> None:
+def test_invalid_searches_are_reported_at_their_place(bench: SearchBench, entry: str, said: str) -> None:
     assert said in problems(bench, text(DIAL % entry))
 
 
 def test_what_passes_is_sought_along_one_parameter(bench: SearchBench) -> None:
     entry = "{use: dial, params: {level: {range: [0, 9]}, share: {grid: [0, 1]}}, search: passes}"
     said = problems(bench, text("still", entry))
-    assert "codecs[1].search: one" in said
+    assert "codecs[1].search: " in said
     assert "level and share" in said
 
 
@@ -99,15 +96,15 @@ def test_a_name_may_say_stage_and_aggregate(bench: SearchBench) -> None:
 @pytest.mark.parametrize(
     ("params", "said"),
     [
-        ("level: {grid: [10, 90, 50]}", "params.level: a search needs values in order, from one end to the other"),
+        ("level: {grid: [10, 90, 50]}", "params.level: a search"),
         ("level: {grid: [1, 2, 2]}", "params.level: a search"),
-        ("effort: {grid: [low, high, low]}", "params.effort: a search needs values in order; one of these comes twice"),
-        ("level: 3", "there is nothing to choose from; give a parameter `{range: [first, last, step]}`"),
-        ("level: {range: [5, 5]}", "nothing to choose"),
+        ("effort: {grid: [low, high, low]}", "params.effort: a search"),
+        ("level: 3", "`{range: [first, last, step]}`"),
+        ("level: {range: [5, 5]}", "several values"),
         ("level: {range: [990, 1010]}", "to 1000; got 1001"),
     ],
 )
-def test_parameters_without_an_order_are_told(bench: SearchBench, params: str, said: str) -> None:
+def test_parameters_without_an_order_are_refused(bench: SearchBench, params: str, said: str) -> None:
     assert said in problems(bench, text(f"{{use: dial, params: {{{params}}}, at: {{weight_bytes: 3}}}}"))
 
 
@@ -146,15 +143,15 @@ def test_a_search_counts_with_its_budget_where_cells_are_too_many(
 @pytest.mark.parametrize(
     ("until", "said"),
     [
-        ("{decided: weight_bytes}", "run.until.decided: weight_bytes is no success or failure; give it a limit"),
+        ("{decided: weight_bytes}", "run.until.decided: weight_bytes is not a success metric"),
         ("{decided: cought}", "run.until.decided.metric: no evaluator"),
-        ("{decided: caught}", "run.until.decided: evaluator toss has a single repeat; give it as many as may be spent"),
-        ("{decided: {metric: caught, equal: 1}}", "takes min or max"),
+        ("{decided: caught}", "run.until.decided: evaluator toss has one repeat"),
+        ("{decided: {metric: caught, equal: 1}}", "min or max"),
         ("{until: caught}", "run.until.until: unknown"),
         ("{}", "run.until.decided: Field required"),
     ],
 )
-def test_what_cannot_be_decided_is_said_with_its_place(bench: SearchBench, until: str, said: str) -> None:
+def test_invalid_stopping_rules_are_reported_at_their_place(bench: SearchBench, until: str, said: str) -> None:
     assert said in problems(bench, text("dial", run=f"until: {until}"))
 
 

@@ -80,7 +80,7 @@ BAD = [
     (hook_module(name="raw"), "codec 'raw' is already offered by codecbench"),
     (hook_module(name="Not A Name"), "is not of the form"),
     (hook_module(target="no_colon"), "is not package.module:Class"),
-    (hook_module().replace("[PluginSpec", "['x', PluginSpec"), "returned 'x'; it returns a list of PluginSpec"),
+    (hook_module().replace("[PluginSpec", "['x', PluginSpec"), "returned 'x'; it must return a list of PluginSpec"),
     (hook_module().replace("return [", "return [][0], ["), "codecbench_codecs failed: IndexError"),
 ]
 
@@ -119,7 +119,7 @@ def test_a_plugin_whose_library_is_too_old_says_what_to_upgrade(tmp_path: Path) 
     (metadata,) = tmp_path.glob("needy-1.dist-info/METADATA")
     metadata.write_text(metadata.read_text().rstrip() + "\nRequires-Dist: numpy>=99; extra == 'all'\n")
     row = next(row for row in listed(tmp_path)["codecs"] if row["name"] == "mine")
-    assert f"numpy >=99, not {np.__version__} " in str(row["missing"])
+    assert f"numpy >=99, but {np.__version__} " in str(row["missing"])
     assert "--upgrade 'needy[all]'" in str(row["missing"])
 
 

@@ -24,13 +24,10 @@ def test_what_a_worker_answered_is_taken(answer: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("work", "beginning"),
-    [
-        (CodingJob("work", SEQUENCE, ODD), "codec odd of odd 1 while encoding: "),
-        (CELL, "codec odd of odd 1 while evaluating: "),
-        (CodingJob("work", SEQUENCE, OWN), ""),
-    ],
+    ("work", "activity"),
+    [(CodingJob("work", SEQUENCE, ODD), "encoding"), (CELL, "evaluating"), (CodingJob("work", SEQUENCE, OWN), "")],
 )
-def test_a_worker_that_did_not_live_to_tell_is_told_with_whose_code_it_waited_for(work: Work, beginning: str) -> None:
-    outcome = outcome_of(work, Finished("work", "timed_out", reason="no result within 3 s", traceback="a\x1bb"))
-    assert outcome == Record("work", "timed_out", f"{beginning}no result within 3 s", r"a\x1bb")
+def test_a_dead_workers_record_names_the_foreign_plugin_and_its_activity(work: Work, activity: str) -> None:
+    outcome = outcome_of(work, Finished("work", "timed_out", reason="no result", traceback="a\x1bb"))
+    beginning = f"{ODD.full_name} while {activity}: " if activity else ""
+    assert outcome == Record("work", "timed_out", f"{beginning}no result", r"a\x1bb")

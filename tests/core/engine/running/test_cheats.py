@@ -130,4 +130,4 @@ def test_no_row_has_values_that_its_bytes_do_not_earn(tmp_path: Path) -> None:
     assert psnr.pop("honest") == math.inf
     assert psnr.pop("repeats_last") is None
     assert all(value is not None and 0 < value < 10 for value in psnr.values()), psnr
-    assert "decode makes another" in found["repeats_last"].reason
+    assert "decode returns other" in found["repeats_last"].reason

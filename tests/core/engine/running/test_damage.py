@@ -231,7 +231,7 @@ def test_the_next_run_mends_what_was_damaged(kind: str, folder: Path, whole: Pat
         assert table(folder) == expected
         said = before.stderr + done.stderr + (folder / "run.log").read_text()
         assert kind == "index" or "damaged" in said or "again" in said, said
-        assert kind != "encoder" or "who encoded it" in said
+        assert kind != "encoder" or "its encoder" in said
 
 
 @pytest.mark.thorough

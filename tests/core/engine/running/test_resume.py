@@ -112,12 +112,10 @@ def test_names_that_are_asked_for_are_computed_again(folder: Folder) -> None:
     assert {job.sequence.name for job in plan.jobs if folder.store.coded_path(job.id).exists()} == {"ramp"}
 
 
-def test_a_name_that_is_not_there_is_answered_with_the_nearest_and_removes_nothing(folder: Folder) -> None:
+def test_an_unknown_name_gets_a_suggestion_and_removes_nothing(folder: Folder) -> None:
     plan = folder.plan()
     folder.write(plan)
-    with pytest.raises(
-        ParamsError, match=r"'stopwach'; did you mean 'stopwatch'\? this matrix has absent, error, long, ramp, shift"
-    ):
+    with pytest.raises(ParamsError, match=r"'stopwach'; .*'stopwatch'\?.* absent, error, long, ramp, shift"):
         folder.resume(plan, "error", "stopwach")
     assert len(folder.resume(plan).kept) == len(plan.cells)
 
@@ -147,7 +145,8 @@ def test_only_a_changed_default_makes_a_record_outdated(folder: Folder, monkeypa
     monkeypatch.setattr(plain_plugins.Shift, "params_type", OtherParams)
     other = folder.plan(only_default)
     assert [cell.id for cell in other.cells] == [cell.id for cell in before.cells]
-    assert folder.outdated(other) == {"codec shift: the default of bits was 0 and is 3"}
+    (reason,) = folder.outdated(other)
+    assert re.fullmatch("codec shift: .*bits was 0 and is 3", reason)
     monkeypatch.setattr(plain_plugins.Shift, "params_type", FewerParams)
     assert folder.outdated(folder.plan(only_default)) == set()
 

@@ -97,9 +97,9 @@ def test_a_footer_whose_checksum_is_right_must_fit_the_file() -> None:
 
 
 def test_whose_bitstreams_they_are_is_checked() -> None:
-    with pytest.raises(BitstreamDamage, match=f"holds the bitstreams of job {JOB}, not of {'cd' * 16}"):
+    with pytest.raises(BitstreamDamage, match=f"job {JOB}, not of {'cd' * 16}"):
         BitstreamFile(written(BITSTREAMS), "cd" * 16)
-    with pytest.raises(BitstreamDamage, match="job short, not of "):
+    with pytest.raises(BitstreamDamage, match="job short, "):
         BitstreamFile(written(BITSTREAMS, "short"), JOB)
     assert BitstreamFile(written(BITSTREAMS, "short"), "short").read(0) == b"first"
 
@@ -115,7 +115,7 @@ def test_packets_of_a_stream_are_one_of_each_frame_in_any_order() -> None:
     assert file.is_stream
     assert [packet.frame for packet in file.packets] == [0, 2, 1]
     for wrong in ((0, 0), (0, 2), (1,)):
-        with pytest.raises(BitstreamDamage, match="one of each"):
+        with pytest.raises(BitstreamDamage, match="one packet"):
             BitstreamFile(stream_of(*wrong), JOB)
 
 
@@ -141,12 +141,12 @@ def test_recovery_points_are_kept_and_earlier_files_have_none() -> None:
 
 def test_what_is_no_file_of_bitstreams_is_refused_with_its_name(tmp_path: Path) -> None:
     content = written(BITSTREAMS)
-    with pytest.raises(BitstreamDamage, match="bitstreams: an earlier version wrote it"):
+    with pytest.raises(BitstreamDamage, match=r"bitstreams: .*earlier version"):
         BitstreamFile(b"CBBITS\x00\x01" + content[8:], JOB)
-    with pytest.raises(BitstreamDamage, match="bitstreams: not a file of bitstreams"):
+    with pytest.raises(BitstreamDamage, match="bitstreams: not a file"):
         BitstreamFile(b"CBBITS\x00\x03" + content[8:], JOB)
     with pytest.raises(BitstreamDamage, match=r"none\.bits: missing"):
         BitstreamFile(tmp_path / "none.bits", JOB)
     (tmp_path / "link.bits").symlink_to(tmp_path / "none.bits")
-    with pytest.raises(BitstreamDamage, match=r"link\.bits: it is a link"):
+    with pytest.raises(BitstreamDamage, match=r"link\.bits: .*link"):
         BitstreamFile(tmp_path / "link.bits", JOB)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from pathlib import Path
 
 import pytest
@@ -33,8 +34,8 @@ def test_a_damaged_one_is_left_out_with_a_line_in_the_log_and_written_again(
     path.write_text(path.read_text().replace("abacus", "engine"))
     with caplog.at_level(logging.WARNING):
         assert EnvironmentFiles(folder).read() == {}
-    said = f"{path} is damaged (its checksum does not match its content); what it said is left out"
-    assert caplog.messages == [said]
+    (message,) = caplog.messages
+    assert re.match(rf"{path} is damaged \(.*checksum", message)
     EnvironmentFiles(folder).write(NAME, DESCRIPTION)
     assert EnvironmentFiles(folder).read() == {NAME: DESCRIPTION}
 

@@ -154,7 +154,7 @@ def test_what_is_no_record_is_refused() -> None:
         with pytest.raises(RecordDamage, match="not a record"):
             record_from_bytes(content)
     for schema in (0, 2, "1", None):
-        with pytest.raises(RecordDamage, match=f"written in format {schema}; this version reads 1"):
+        with pytest.raises(RecordDamage, match=f"format {schema}; .* 1$"):
             record_from_bytes(sealed({**body(), "schema": schema}))
 
 

@@ -34,17 +34,17 @@ def checked(*measurements: Any, frame: int | None = None) -> list[Measurement]:
 @pytest.mark.parametrize(
     ("measurement", "frame", "message"),
     [
-        (3.0, None, "yielded float; evaluators yield Measurement"),
-        (Measurement("speed", 1.0), None, "metric 'speed' is not declared; declared: error, size"),
-        (Measurement("size", True), None, "size: a value is a number, got bool"),
+        (3.0, None, "yielded float; "),
+        (Measurement("speed", 1.0), None, "'speed' .* error, size"),
+        (Measurement("size", True), None, "size: .*got bool"),
         (Measurement("size", "3"), None, "size: .*got str"),  # type: ignore[arg-type]
         (Measurement("size", None), None, "size: .*got NoneType"),  # type: ignore[arg-type]
-        (Measurement("size", math.nan), None, "size: NaN without a reason"),
+        (Measurement("size", math.nan), None, "size: NaN without"),
         (Measurement("size", math.nan, reason=""), None, "size: NaN without"),
-        (Measurement("size", 1.0, stage=3), None, "size: stage and reason are text, got int"),  # type: ignore[arg-type]
+        (Measurement("size", 1.0, stage=3), None, "size: stage .*got int"),  # type: ignore[arg-type]
         (Measurement("size", 1.0, reason=b"x"), None, "size: stage .*got bytes"),  # type: ignore[arg-type]
-        (Measurement("size", 1.0, frame=2), 1, "size: measured on frame 1 but yielded for frame 2"),
-        (Measurement("size", 1.0, frame=3), None, r"size: frame 3 is not one of 0\.\.2"),
+        (Measurement("size", 1.0, frame=2), 1, "size: .*frame 1 .*frame 2"),
+        (Measurement("size", 1.0, frame=3), None, r"size: frame 3 .*0\.\.2"),
         (Measurement("size", 1.0, frame=-1), None, r"size: frame -1 .*0\.\.2"),
         (Measurement("size", 1.0, frame=1.0), None, r"size: frame 1\.0 .*0\.\.2"),  # type: ignore[arg-type]
         (Measurement("size", 1.0), 3, r"size: frame 3 .*0\.\.2"),

@@ -45,8 +45,8 @@ class CodedFrames:
         if len(bitstreams) != len(sequence):
             raise CodingError(f"{len(bitstreams)} bitstreams for {len(sequence)} frames of {sequence.name}")
         if bitstreams.is_stream == codec.stateless:
-            kind = "a stream" if bitstreams.is_stream else "single pictures"
-            raise BitstreamDamage(f"the file holds {kind}; {codec.name} codes something else by now")
+            kind = "a stream" if bitstreams.is_stream else "single frames"
+            raise BitstreamDamage(f"the file contains {kind}, which {codec.name} no longer writes")
         self.sequence = sequence
         self.codec = codec
         self._bitstreams = bitstreams
@@ -185,12 +185,12 @@ class LiveSender:
     def _send_new(self, original: Frame) -> Image:
         index, place = original.index, len(self._packets)
         if self._places and index < (last_frame := next(reversed(self._places))):
-            raise Unsupported(f"frame {index} is to be sent after frame {last_frame}, and a stream does not go back")
+            raise Unsupported(f"frame {index} cannot be sent after frame {last_frame}: a stream is sent in order")
         self._position.at("encode", index)
         packets = self._encoder.push(original.image)
         if not packets:
             raise Unsupported(
-                f"{self._codec.name} holds frames back with this setting; a chosen frame must be sent at once"
+                f"{self._codec.name} holds frames back at this setting; a chosen frame must be sent at once"
             )
         self._places[index] = place
         self._packets += packets
@@ -199,7 +199,7 @@ class LiveSender:
         pictures = self._decoder.push(replace(packet.sent_packet, frame=place).packet(packet.data), original.image)
         if place not in pictures:
             raise Unsupported(
-                f"the decoder of {self._codec.name} holds frames back; a chosen frame must be seen at once"
+                f"the decoder of {self._codec.name} holds frames back; a chosen frame must be decoded at once"
             )
         return pictures[place]
 

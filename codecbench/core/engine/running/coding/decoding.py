@@ -96,7 +96,7 @@ class StreamPictures:
         pictures = decoder.flush(original)
         self._keep(pictures)
         if frame not in pictures:
-            raise CodingError("all packets and flush gave no picture of this frame")
+            raise CodingError("the decoder returned no frame after all packets and flush")
         return pictures[frame]
 
     def _decoder_for(self, frame: int) -> CheckedDecoder:
@@ -207,8 +207,8 @@ class ShuffledPictures:
             decoded = codec.decode(self._read(frame))
             if zlib.crc32(np.ascontiguousarray(decoded).data) != digest:
                 raise CodingError(
-                    "decode makes another picture of the same bytes in a process that has decoded nothing else; a "
-                    "picture is decoded from its bitstream alone, or its codec is a StreamCodec"
+                    "decode returns other pixels for the same bitstream in a new process; decode each frame from its "
+                    "bitstream alone, or make the codec a StreamCodec"
                 )
 
     def _around(self, frame: int, size_bytes: int) -> list[int]:
@@ -258,18 +258,18 @@ class CheckedDecoder:
 
     def _check_pictures(self, pictures: object, original: Image) -> dict[int, Image]:
         if not isinstance(pictures, list):
-            raise CodingError(f"the decoder returned {type(pictures).__name__}; it returns a list of Pictures")
+            raise CodingError(f"the decoder returned {type(pictures).__name__}; it must return a list of Pictures")
         images: dict[int, Image] = {}
         for picture in pictures:
             if not isinstance(picture, Picture) or type(picture.frame) is not int:
-                raise CodingError(f"the decoder returned a list with {type(picture).__name__}; it holds Pictures")
+                raise CodingError(f"the decoder returned a list with {type(picture).__name__}; all must be Pictures")
             frame = picture.frame
             if frame not in self._expected:
                 continue
             if frame in self.decoded_frames:
                 raise CodingError(f"the decoder returned frame {frame} a second time")
             if picture.state != "whole":
-                raise CodingError(f"the decoder says that frame {frame} is {picture.state}, though nothing was lost")
+                raise CodingError(f"the decoder returned frame {frame} as {picture.state}, but nothing was lost")
             self.decoded_frames.add(frame)
             images[frame] = check_decoding(picture.image, original).copy()  # decoders reuse their buffers
         return images

@@ -77,30 +77,30 @@ class CheckedEncoder:
 
     def _check_packets(self, packets: object, call: str) -> list[CodedPacket]:
         if not isinstance(packets, list):
-            raise CodingError(f"{call} returned {type(packets).__name__}; it returns a list of Packets")
+            raise CodingError(f"{call} returned {type(packets).__name__}; it must return a list of Packets")
         return [self._check_packet(packet, call) for packet in packets]
 
     def _check_packet(self, packet: object, call: str) -> CodedPacket:
         if not isinstance(packet, Packet):
-            raise CodingError(f"{call} returned a list with {type(packet).__name__}; it holds Packets")
+            raise CodingError(f"{call} returned a list with {type(packet).__name__}; all must be Packets")
         frame, starts = packet.frame, packet.starts
         if type(frame) is not int or type(starts) is not bool:
             kinds = f"{type(frame).__name__} and {type(starts).__name__}"
-            raise CodingError(f"{call} returned a packet whose frame and starts are {kinds}; they are int and bool")
+            raise CodingError(f"{call} returned a packet whose frame and starts are {kinds}; they must be int and bool")
         if not is_recovery(packet.recovery_frames):
             got = repr(packet.recovery_frames)[:40]
-            raise CodingError(f"{call} returned a packet with recovery_frames {got}; it is None, or a number of frames")
+            raise CodingError(f"{call} returned a packet with recovery_frames {got}; it must be None or a frame count")
         if not 0 <= frame < self._pushed:
             raise CodingError(f"{call} returned a packet of frame {frame}; 0 to {self._pushed - 1} were pushed")
         if frame in self._sent:
             raise CodingError(f"{call} returned a packet of frame {frame} a second time")
         if not self._sent and not starts:
-            raise CodingError(f"the first packet, of frame {frame}, does not start: decoding could never begin")
+            raise CodingError(f"the first packet, of frame {frame}, has starts=False: decoding could never begin")
         self._sent.add(frame)
         return CodedPacket(self._content(packet), frame, starts, self._pushed, packet.recovery_frames)
 
     def _content(self, packet: Packet) -> bytes:
-        returned = f"the packet of frame {packet.frame} holds" if self._gives_packets else "encode returned"
+        returned = f"the packet of frame {packet.frame} contains" if self._gives_packets else "encode returned"
         if not isinstance(packet.data, bytes):
             raise CodingError(f"{returned} {type(packet.data).__name__}; a bitstream is bytes")
         data = memoryview(packet.data).tobytes()  # a subclass of bytes may override everything else

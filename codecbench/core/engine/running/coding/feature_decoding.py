@@ -51,11 +51,11 @@ class StreamFeatures:
 
 def _check_features(feature_set: object, frame: int) -> Features:
     if not isinstance(feature_set, FeatureSet):
-        raise CodingError(f"the decoder returned {type(feature_set).__name__}; it returns a FeatureSet")
+        raise CodingError(f"the decoder returned {type(feature_set).__name__}; it must return a FeatureSet")
     if feature_set.frame != frame:
         raise CodingError(f"the decoder returned frame {feature_set.frame} for the packet of frame {frame}")
     if feature_set.features is None:
-        raise CodingError(f"the decoder says that frame {frame} is missing, though nothing was lost")
+        raise CodingError(f"the decoder returned frame {frame} as missing, but nothing was lost")
     if not isinstance(feature_set.features, Features):
-        raise CodingError(f"the decoder returned {type(feature_set.features).__name__}; a set has Features")
+        raise CodingError(f"the decoder returned {type(feature_set.features).__name__}; a set must have Features")
     return feature_set.features

@@ -80,11 +80,11 @@ def test_who_asks_a_codec_of_pictures_for_features_is_told_what_to_do() -> None:
     write_bitstreams(stream, [b"x"] * len(PICTURES), JOB)
     found = CodedFrames(MemorySequence(PICTURES), codec, BitstreamFile(stream.getvalue(), JOB), WorkPosition())
     for asked in (lambda: found.features(0), lambda: gets_features(codec, "features")):
-        with pytest.raises(Unsupported, match="function sends pictures"):
+        with pytest.raises(Unsupported, match="function sends frames"):
             asked()
     assert not gets_features(codec, "cta")
     assert gets_features(Corners.create(), "cta")
-    with pytest.raises(BitstreamDamage, match="holds single pictures"):
+    with pytest.raises(BitstreamDamage, match="single frames"):
         CodedFrames(MemorySequence(PICTURES), Corners.create(), BitstreamFile(stream.getvalue(), JOB), WorkPosition())
 
 
@@ -107,7 +107,7 @@ def test_a_packet_of_another_frame_is_refused() -> None:
     [
         (lambda found: None, "returned NoneType; .*FeatureSet"),
         (lambda found: replace(found, frame=found.frame + 1), "frame 2 .*frame 1"),
-        (lambda found: FeatureSet(found.frame, None), "frame 1 is missing"),
+        (lambda found: FeatureSet(found.frame, None), "frame 1 as missing"),
         (lambda found: FeatureSet(found.frame, [1, 2]), "returned list; .*Features"),
     ],
 )
@@ -132,7 +132,7 @@ def test_what_a_set_may_be() -> None:
         ({"octaves": good.octaves[:-1]}, "octaves are int32"),
         ({"descriptors": good.descriptors[:, :31]}, "descriptors are uint8"),
         ({"responses": None}, "responses are NoneType"),
-        ({"size": (0, 5)}, "width and height of an image"),
+        ({"size": (0, 5)}, "width and height"),
         ({"size": (40, 40)}, "outside the image of 40x40"),
         ({"pixels": np.full_like(good.pixels, np.nan)}, "outside the image"),
         ({"angles": np.full_like(good.angles, np.inf)}, "not finite"),

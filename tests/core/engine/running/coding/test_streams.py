@@ -54,7 +54,7 @@ def test_who_asks_a_codec_with_memory_for_one_picture_is_told_what_to_call() -> 
     """An evaluator that was written for codecs of single pictures is unsupported, not broken."""
     codec = Reordered.create()
     for asked in (lambda: codec.encode(ramp(1).read(0).image), lambda: codec.decode(b"")):
-        with pytest.raises(Unsupported, match=r"memory .*encoder_of\("):
+        with pytest.raises(Unsupported, match=r"inter-frame .*encoder_of\("):
             asked()
 
 
@@ -76,18 +76,18 @@ def whole(frame: Any, data: Any = b"x", starts: Any = True) -> Packet:
 @pytest.mark.parametrize(
     ("packets", "words", "where"),
     [
-        (lambda push: None, "push returned NoneType; it returns a list of Packets", "encode, frame 0"),
-        (lambda push: [b"x"], "push returned a list with bytes; it holds Packets", "encode, frame 0"),
-        (lambda push: [whole("0")], "frame and starts are str and bool; they are int and bool", "encode, frame 0"),
+        (lambda push: None, "push returned NoneType", "encode, frame 0"),
+        (lambda push: [b"x"], "a list with bytes", "encode, frame 0"),
+        (lambda push: [whole("0")], "str and bool", "encode, frame 0"),
         (lambda push: [whole(push, starts=1)], "int and int", "encode, frame 0"),
-        (lambda push: [Packet(b"x", push, True, -1)], "with recovery_frames -1; it is None, or a n", "encode, frame 0"),
-        (lambda push: [whole(push + 1)], "a packet of frame 1; 0 to 0 were pushed", "encode, frame 0"),
+        (lambda push: [Packet(b"x", push, True, -1)], "with recovery_frames -1", "encode, frame 0"),
+        (lambda push: [whole(push + 1)], "frame 1; 0 to 0", "encode, frame 0"),
         (lambda push: [whole(-1)], "frame -1; 0 to 0", "encode, frame 0"),
-        (lambda push: [whole(0)], "a packet of frame 0 a second time", "encode, frame 1"),
-        (lambda push: [whole(push, starts=False)], "the first packet, of frame 0, does not start", "encode, frame 0"),
-        (lambda push: [whole(push, b"")], "the packet of frame 0 holds no bytes", "encode, frame 0"),
-        (lambda push: [whole(push, "x")], "the packet of frame 0 holds str; a bitstream is bytes", "encode, frame 0"),
-        (lambda push: [whole(0)] if push == 2 else [], "2 of 3 frames have no packet after flush: 1, 2", "encode"),
+        (lambda push: [whole(0)], "frame 0 a second time", "encode, frame 1"),
+        (lambda push: [whole(push, starts=False)], r"frame 0, .*starts=False", "encode, frame 0"),
+        (lambda push: [whole(push, b"")], "frame 0 contains no bytes", "encode, frame 0"),
+        (lambda push: [whole(push, "x")], "frame 0 contains str", "encode, frame 0"),
+        (lambda push: [whole(0)] if push == 2 else [], "after flush: 1, 2", "encode"),
         (lambda push: [whole(push if push >= 0 else 0)], "flush .*frame 0 a second", "encode"),
     ],
 )
@@ -203,14 +203,14 @@ def picture(frame: int, state: Any = "whole", image: Any = None) -> Picture:
 @pytest.mark.parametrize(
     ("pictures", "words"),
     [
-        (lambda packet: None, "the decoder returned NoneType; it returns a list of Pictures"),
-        (lambda packet: [packet], "a list with Packet; it holds Pictures"),
+        (lambda packet: None, "returned NoneType"),
+        (lambda packet: [packet], "a list with Packet"),
         (lambda packet: [picture(packet.frame)] * 2, "frame 0 a second time"),
-        (lambda packet: [picture(packet.frame, "concealed")], "says that frame 0 is concealed, though nothing was"),
-        (lambda packet: [Picture(packet.frame, "missing", None)], "frame 0 is missing"),
+        (lambda packet: [picture(packet.frame, "concealed")], "frame 0 as concealed"),
+        (lambda packet: [Picture(packet.frame, "missing", None)], "frame 0 as missing"),
         (lambda packet: [picture(packet.frame, image=np.zeros((4, 4), np.uint8))], r"decode returned shape \(4, 4\)"),
         (lambda packet: [picture(packet.frame, image=[1])], "decode returned list"),
-        (lambda packet: [], "all packets and flush gave no picture of this frame"),
+        (lambda packet: [], "after all packets"),
     ],
 )
 def test_what_a_decoder_may_not_do(pictures: Any, words: str) -> None:
@@ -239,9 +239,9 @@ def test_a_session_that_raised_is_not_used_again() -> None:
 def test_a_file_of_another_kind_of_codec_is_made_again() -> None:
     stills = BytesIO()
     write_bitstreams(stills, [b"x"] * 3, JOB)
-    with pytest.raises(BitstreamDamage, match="single pictures; delta"):
+    with pytest.raises(BitstreamDamage, match=r"single frames.* delta"):
         CodedFrames(ramp(3), Delta.create(), BitstreamFile(stills.getvalue(), JOB), WorkPosition())
-    with pytest.raises(BitstreamDamage, match="a stream; shift"):
+    with pytest.raises(BitstreamDamage, match=r"a stream.* shift"):
         CodedFrames(ramp(3), plain_plugins.Shift.create(), coded_file(Delta.create(), 3), WorkPosition())
 
 
@@ -281,7 +281,7 @@ def test_every_flipped_bit_and_every_cut_of_a_stream_is_noticed() -> None:
 def test_a_stream_that_has_not_one_packet_of_each_frame_is_damaged(frames: tuple[int, int]) -> None:
     stream = BytesIO()
     write_stream(stream, [CodedPacket(b"x", frame, True, 1) for frame in frames], JOB)
-    with pytest.raises(BitstreamDamage, match="one of each"):
+    with pytest.raises(BitstreamDamage, match="one packet"):
         BitstreamFile(stream.getvalue(), JOB)
 
 
@@ -335,9 +335,7 @@ def test_a_sender_of_single_pictures_goes_where_it_likes() -> None:
 
 
 def test_frames_that_are_held_back_cannot_be_sent_as_they_are_chosen() -> None:
-    with pytest.raises(
-        Unsupported, match="delta holds frames back with this setting; a chosen frame must be sent at once"
-    ):
+    with pytest.raises(Unsupported, match=r"^delta .*frames back"):
         coded(Delta.create(hold=1), 4).sender().send(0)
     late = Scripted(lambda push: [whole(push)] if push >= 0 else [])
     with pytest.raises(Unsupported, match="decoder of scripted"):
