@@ -66,8 +66,8 @@ def test_the_last_line_says_what_to_use_over_each_link_or_why_nothing(
     assert use.startswith("Over ideal use jpeg quality=40: ")
     assert " Mbit/s at 30 fps (" in use
     assert " GB/h); passes in 4 of 4 runs (at least 51 % at 95 %): error 0." in use
-    assert use.endswith(" of the moments (50 % needed).")
+    assert use.endswith(" of capture times (50 % required).")
     assert nothing == (
-        "Nothing passes over underwater_acoustic, because 1 of 1 settings have a fresh pose too seldom, such as "
-        "jpeg quality=40 (a pose no older than 0.5 s at 0 % of the moments < 50 %)."
+        "Nothing passes over underwater_acoustic, because 1 of 1 settings have too few fresh poses, such as "
+        "jpeg quality=40 (a pose no older than 0.5 s at 0 % of capture times < 50 %)."
     )

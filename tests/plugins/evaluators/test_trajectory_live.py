@@ -201,8 +201,8 @@ def test_a_matrix_without_a_link_has_the_identities_that_it_had() -> None:
 @pytest.mark.parametrize(
     ("params", "words"),
     [
-        ({"slam_ms": 5}, "slam_ms is about a link"),
-        ({"mtu": 500}, "mtu is about a link"),
+        ({"slam_ms": 5}, "slam_ms needs a link"),
+        ({"mtu": 500}, "mtu needs a link"),
         ({"link": "ideal", "architecture": "atc"}, "atc over a link is not simulated"),
     ],
 )
