@@ -68,7 +68,7 @@ def test_the_last_lines_recommend_a_setting_for_each_link_or_give_the_reason(
         " GB/h)",
         "4 of 4 runs",
         "51 % at 95 %",
-        "50 % needed",
+        "50 % required",
     )
     assert_facts(
         nothing, "Nothing passes", "underwater_acoustic", "1 of 1 ", "jpeg quality=40", "0.5 s at 0 %", "< 50 %"

@@ -76,9 +76,9 @@ class _Curve:
     def fault(self) -> str:
         """Say why these points give no curve; empty if they give one."""
         if np.isnan(self.rates).any():
-            return f"the {self.side} curve has a setting whose rate is not known"
+            return f"the {self.side} curve has a setting of unknown rate"
         if not (np.isfinite(self.qualities).all() and np.isfinite(self.rates).all()):
-            return f"the {self.side} curve has an infinite value (a lossless setting has no place on it)"
+            return f"the {self.side} curve has an infinite value (lossless settings cannot be placed on it)"
         if len(self.rates) < _LEAST_POINTS:
             failed = f", {self.failures} failed" if self.failures else ""
             return f"the {self.side} curve has {len(self.rates)} usable points{failed}; pchip needs {_LEAST_POINTS}"
@@ -88,8 +88,8 @@ class _Curve:
             if self.rates[index] <= self.rates[index - 1] or self.qualities[index] <= self.qualities[index - 1]:
                 first, second = self.qualities[index - 1], self.qualities[index]
                 return (
-                    f"the {self.side} curve is not monotone: rate {self.rates[index - 1]:g} -> {self.rates[index]:g} "
-                    f"takes quality from {first:g} to {second:g}"
+                    f"the {self.side} curve is not monotone: from rate {self.rates[index - 1]:g} "
+                    f"to {self.rates[index]:g}, quality goes from {first:g} to {second:g}"
                 )
         return ""
 

@@ -170,8 +170,8 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
     over_link = [result for result in run.results if demand.link in _links(result.cell.evaluator)]
     if demand.device_factor is not None and any(result.cell.evaluator.params.get("encode_ms") for result in over_link):
         raise NotMeasured(
-            f"{run.folder}: over {demand.link} the time of encoding was simulated with encode_ms, on a device as slow "
-            "as device_factor of the matrix says; leave the factor away here"
+            f"{run.folder}: the run over {demand.link} already simulated the encoding time (encode_ms and "
+            "device_factor of the matrix); omit the factor here"
         )
     encode_ms = _encode_ms(run, demand)
     runs_by_setting: dict[_Setting, list[_Run]] = defaultdict(list)
@@ -181,11 +181,11 @@ def candidates(run: RunResult, demand: Demand) -> list[Candidate]:
             runs_by_setting[*result.row, _way(result.cell.evaluator)].append((frames, _reading(result)))
     if not runs_by_setting:
         links = links_of(run)
-        there = f"it has {', '.join(links)}" if links else "no evaluator of it has a link"
+        there = f"it has {', '.join(links)}" if links else "none of its evaluators has a link"
         raise NotMeasured(f"{run.folder}: nothing was measured over link {demand.link!r}; {there}")
     is_read = demand.link in links_with_readers(run)
     if not is_read and demand.deadline_ms is None:
-        raise NotMeasured(f"{run.folder}: no error was measured over {demand.link}; ask for a deadline")
+        raise NotMeasured(f"{run.folder}: no error was measured over {demand.link}; give a deadline")
     rates = dict(run.rates)
     if len({setting[0] for setting in runs_by_setting}) > 1:
         for (_, *rest), runs in list(runs_by_setting.items()):
@@ -256,7 +256,9 @@ def _encode_ms(run: RunResult, demand: Demand) -> dict[Key, float]:
         if typical is not None:
             times[result.row].append(typical)
     if not times:
-        raise NotMeasured(f"{run.folder}: no encoding was timed; add an evaluator that does, or leave the factor away")
+        raise NotMeasured(
+            f"{run.folder}: no encoding time was measured; add an evaluator that measures it, or omit the factor"
+        )
     return {row: demand.device_factor * float(np.median(values)) for row, values in times.items()}
 
 
@@ -304,7 +306,7 @@ def _candidate(
     useful = [reading.shortfall(demand) is None for reading in readings]
     unsure = [reading for reading in readings if reading.shortfall(demand) is None]
     unmeasured = {
-        "frames in time": demand.deadline_ms is not None and not timely,
+        "the share of frames on time": demand.deadline_ms is not None and not timely,
         "the error": (is_read and not readings) or any(math.isnan(reading.error_m) for reading in unsure),
         IDLE_ERROR: any(math.isnan(reading.idle_m + reading.fresh) for reading in unsure),
     }

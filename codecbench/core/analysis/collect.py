@@ -215,7 +215,7 @@ def open_nonempty_run(folder: Path) -> RunResult:
     run = open_run(folder)
     if not run.results:
         message = f"{folder} has no results yet: none of its {len(run.plan.cells)} cells has a record that can be read"
-        raise StoreError(f"{message}; `codecbench run` computes them, `codecbench status {folder}` says how far it is")
+        raise StoreError(f"{message}; `codecbench run` computes them, `codecbench status {folder}` shows the progress")
     return run
 
 

@@ -117,7 +117,7 @@ def _confirm(claim: Comparison, witness: Comparison) -> Comparison:
     """Withdraw the verdict on a change that the confirming metric does not share: other programs may have caused it."""
     if claim.verdict not in ("better", "worse") or claim.verdict == witness.verdict:
         return claim
-    note = f"{witness.key[4]}: {witness.verdict} ({witness.change:+.1%}); other programs may have taken the rest"
+    note = f"{witness.key[4]}: {witness.verdict} ({witness.change:+.1%}); other programs may have used the rest"
     return replace(claim, verdict="inconclusive", note=note)
 
 
@@ -136,7 +136,7 @@ def _compare_series(
 ) -> Comparison:
     shown = (_middle(old.values), _middle(new.values))
     if old.fingerprint != new.fingerprint:
-        return Comparison(old.key, *shown, math.nan, "inconclusive", "the sequences have other frames")
+        return Comparison(old.key, *shown, math.nan, "inconclusive", "the sequences have different frames")
     if (old.status == "ok") != (new.status == "ok"):
         verdict: Verdict = "better" if new.status == "ok" else "worse"
         worse = new if new.status != "ok" else old
@@ -154,7 +154,7 @@ def _compare_exactly(old: Series, new: Series, shown: tuple[float, float]) -> Co
     if math.isnan(change) or old.better == "neither":
         return Comparison(old.key, *shown, change, "changed")
     if change == 0.0:
-        return Comparison(old.key, *shown, change, "changed", "the median is the same, single repeats are not")
+        return Comparison(old.key, *shown, change, "changed", "the medians are equal, single repeats are not")
     return Comparison(old.key, *shown, change, "better" if (change > 0) == (old.better == "higher") else "worse")
 
 
@@ -164,10 +164,10 @@ def _compare_times(
 ) -> Comparison:  # fmt: skip
     before, after = before[~np.isnan(before)], after[~np.isnan(after)]
     if np.array_equal(before, after):
-        return Comparison(old.key, *shown, 0.0, "same", "every time is the same, as in copies of one run")
+        return Comparison(old.key, *shown, 0.0, "same", "all times are equal, as in copies of one run")
     few = min(len(before), len(after))
     if few == 0 or (before <= 0).any() or (after <= 0).any():
-        return Comparison(old.key, *shown, math.nan, "inconclusive", "no times on one side")
+        return Comparison(old.key, *shown, math.nan, "inconclusive", "one side has no times")
     change = float(np.median(after) / np.median(before) - 1.0)
     if few < LEAST_REPEATS:
         note = f"{few} repeats; at least {LEAST_REPEATS} are needed"

@@ -255,7 +255,7 @@ def curve_values(run: RunResult, column: Column, sequence: str) -> tuple[dict[st
         point = run.curves[key[1:]]
         if point.curve not in known:
             unknown[point.curve].append(point.point or "its setting")
-    left_out = {curve: f"no rate is known of {', '.join(points)}" for curve, points in unknown.items()}
+    left_out = {curve: f"unknown rate: {', '.join(points)}" for curve, points in unknown.items()}
     if not measured:
         return {}, left_out
     table = as_quality(np.array(list(measured.values())), column)
@@ -296,14 +296,16 @@ def objection(run: RunResult, column: Column, curves: dict[str, CurveValues], le
     steps = np.concatenate([(mean - mean[:, None])[np.triu_indices(len(mean), 1)] for mean in swept])
     size = np.abs(steps).sum()
     if size <= _ROUNDING * np.abs(np.concatenate(swept)).max():
-        return "all settings of a codec are alike"
+        return "all settings of a codec have equal values"
     raw, coarsest = [means[curve].mean() for curve in means if curve in baselines], np.median([m[0] for m in swept])
     if raw and np.mean(raw) <= coarsest:
         best, worst = (f"{from_quality(float(x), column) * column.factor:.3g}" for x in (np.mean(raw), coarsest))
         return f"{' and '.join(sorted(baselines))} ({best}) is no better than the coarsest settings ({worst})"
     wrong = -steps[steps < 0].sum() / size
     return (
-        "" if wrong <= _OUT_OF_ORDER else f"finer settings are worse in {100 * wrong:.0f} % of the differences, by size"
+        ""
+        if wrong <= _OUT_OF_ORDER
+        else f"finer settings are worse in {100 * wrong:.0f} % of the differences, weighted by size"
     )
 
 

@@ -73,7 +73,7 @@ class Limit:
             again = [
                 setting.point for setting in self.settings if setting.verdict == "passes" and setting.rate < after.rate
             ]
-            words += f"; out of order, for {', '.join(again)} below it passes"
+            words += f"; out of order: {', '.join(again)} passes at a lower rate"
         return words
 
 
@@ -104,7 +104,7 @@ def limits(run: RunResult, columns: Sequence[Column]) -> dict[SequenceCurve, Lim
     run = run.as_calibrated
     by_curve = limits_of(_drop_partial_passes(tests_of(run, columns)), run.curves)
     if run.rate is None:
-        no_rate = Limit(reason="no rate was measured; add an evaluator with a headline of role rate")
+        no_rate = Limit(reason="no rate was measured; add an evaluator with a primary metric of role rate")
         return dict.fromkeys(by_curve, no_rate)
     return {key: _fail_if_any_fails(key, limit, by_curve) for key, limit in by_curve.items()}
 
@@ -171,7 +171,7 @@ def _limit(members: list[Test]) -> Limit:
     if empty := next((test for member in members for test in parts(member) if is_empty(test)), None):
         return Limit(reason=empty.why or "its runs cannot be judged here")
     if unknown := [member.point or "its setting" for member in members if np.isnan(member.rate)]:
-        return Limit(reason=f"no rate is known of {', '.join(unknown)}")
+        return Limit(reason=f"unknown rate: {', '.join(unknown)}")
     return Limit(tuple(sorted(members, key=lambda member: -member.rate)))
 
 

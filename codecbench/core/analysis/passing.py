@@ -67,7 +67,7 @@ class Standing:
             return f"{share}, at least {100 * self.interval[0]:.0f} % at 95 %"
         if self.verdict == "fails":
             return f"{share}, at most {100 * self.interval[1]:.0f} % at 95 %"
-        return f"{share}; at least {self.more_runs} more would tell"
+        return f"{share}; at least {self.more_runs} more would decide"
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class Level:
         return "passes" if self.margin.mean > 0.0 else "fails"
 
     def __str__(self) -> str:
-        """`0.914 ± 0.008, ≥ 0.9 asked`, in the displayed unit."""
+        """`0.914 ± 0.008, ≥ 0.9 required`, in the displayed unit."""
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
-        few = "" if self.reach < math.inf else ", too few to tell"
+        few = "" if self.reach < math.inf else ", too few samples for an interval"
         sure = f" ± {self.reach:.2g}" if 0.0 < self.reach < math.inf else ""
-        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}, {self.requirement} asked"
+        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}, {self.requirement} required"
 
     @property
     def reach(self) -> float:

@@ -25,7 +25,7 @@ SIGNIFICANCE: Final = 0.01
 
 _OF_A_BOUND: Final = 1e-3
 """Weight of a bound in scores: it counts only for codecs that no other pair connects."""
-NO_COMMON_RATE: Final = "no common rate to compare at"
+NO_COMMON_RATE: Final = "no common rate"
 """Why two ranked codecs are not compared with each other."""
 
 

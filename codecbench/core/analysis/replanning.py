@@ -82,7 +82,7 @@ class _Reader:
             plugins: list[tuple[Kind, str]] = [("dataset", setting.name)]
             opened = registry.ask(describe_sequence, setting.name, described.params, of=plugins, times=_OPENING)
             if opened["fingerprint"] != wanted.fingerprint:
-                raise DatasetError(f"{wanted.name} has other frames here")
+                raise DatasetError(f"{wanted.name} has different frames here")
         except (CodecbenchError, InvalidParams, OSError) as error:
             self.missing[wanted.fingerprint] = f"dataset {setting.name}: {error}"
             return None
@@ -98,7 +98,7 @@ class _Reader:
             for use in described.uses:
                 self._refuse_files(*use)
             if described.version != wanted.version:
-                raise PluginError(f"it is version {described.version} here, and {wanted.version} in the run")
+                raise PluginError(f"its version is {described.version} here and {wanted.version} in the run")
         except (CodecbenchError, InvalidParams, OSError) as error:
             self.missing[_key(wanted)] = f"{kind} {name}: {error}"
             return None
@@ -111,7 +111,7 @@ class _Reader:
             return planned.unsupported
         keys = cell.sequence.fingerprint, _key(cell.codec), _key(cell.evaluator)
         known = (self.missing[key] for key in keys if key in self.missing)
-        return next(known, "its identity is another one here: something that can change the result is not as it was")
+        return next(known, "its identity differs here: something that can change the result has changed")
 
     def _dataset_params(self, setting: PluginSetting) -> dict[str, Any]:
         if self.sequences_from is None:
@@ -127,7 +127,7 @@ class _Reader:
         paths = set(self.registry.ask(path_params, kind, name, of=[(kind, name)]))
         values = [value for key, value in params.items() if (key in paths and value is not None) or _has_path(value)]
         if values:
-            message = f"the run names {values[0]!r}, which is opened only when you say so"
+            message = f"the run refers to {values[0]!r}, which is opened only if you allow it"
             remedy = "give --sequences-from FOLDER, or --sequences-from same"
             raise DatasetError(f"{message}: {remedy if kind == 'dataset' else '--sequences-from same'}")
 

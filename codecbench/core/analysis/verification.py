@@ -85,10 +85,10 @@ def verify_run(
     range.
     """
     if cells < 1 or not tolerance >= 0:
-        raise ParamsError(f"cells is {cells} and tolerance {tolerance}; at least 1 cell, and a tolerance from 0")
+        raise ParamsError(f"cells is {cells} and tolerance {tolerance}; cells must be at least 1, tolerance at least 0")
     path = Path(path)
     if out is not None and Path(out).exists():
-        raise StoreError(f"{out} is there already; what is computed again goes into a fresh folder")
+        raise StoreError(f"{out} already exists; give a new folder for the results")
     with tempfile.TemporaryDirectory(prefix="codecbench-verify-", ignore_cleanup_errors=True) as temporary:
         folder = path
         if not path.is_dir():
@@ -188,7 +188,7 @@ def other_version(there: dict[str, Any], here: dict[str, Any]) -> str:
     for name in sorted(versions[0].keys() & versions[1].keys() - _WITHOUT_NUMBERS):
         if versions[0][name] != versions[1][name]:
             return f"{name} is {versions[0][name]} there, {versions[1][name]} here"
-    return "" if "numpy" in versions[0].keys() & versions[1].keys() else "versions are not known"
+    return "" if "numpy" in versions[0].keys() & versions[1].keys() else "versions are unknown"
 
 
 def _part(environment: dict[str, Any], part: str, *names: str) -> dict[str, Any]:
@@ -204,11 +204,11 @@ def compare_values(cell: Cell, there: Values, here: Values, tolerance: float, ot
     """
     if there.keys() != here.keys():
         key = min(there.keys() ^ here.keys(), key=str)
-        side = "not measured here" if key in there else "measured here alone"
+        side = "not measured here" if key in there else "measured here only"
         return Agreement(cell, "differs", len(there), f"{_label(key)}: {side}")
     apart = {key: _distance(value, here[key]) for key, value in there.items()}
     if not apart:
-        return Agreement(cell, "not recomputed", 0, "it measured nothing that comes out the same twice")
+        return Agreement(cell, "not recomputed", 0, "it measured nothing repeatable")
     unequal = [key for key, distance in apart.items() if distance > 0.0]
     if not unequal:
         return Agreement(cell, "to the bit", len(there))

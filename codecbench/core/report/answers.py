@@ -24,7 +24,7 @@ from codecbench.core.report.formatting import (
     uninformative_notes,
 )
 
-_NO_RATE: Final = "No rate was measured, so that nothing can be said of what codecs spend."
+_NO_RATE: Final = "No rate was measured, so the cost of codecs is unknown."
 
 
 @dataclass(frozen=True)
@@ -97,12 +97,12 @@ def answers_of_settings(run: RunResult) -> list[Answers]:
     """The answers of a run, followed by those by other settings of its evaluators."""
     run = run.as_calibrated
     if run.rate is None:
-        return [Answers(_NO_RATE, sentence=f"Nothing can be named: {_NO_RATE[0].lower()}{_NO_RATE[1:]}")]
+        return [Answers(_NO_RATE, sentence=f"Nothing can be recommended: {_NO_RATE[0].lower()}{_NO_RATE[1:]}")]
     judged = [answer_set for columns in criteria(run) if (answer_set := _judge(run, columns)) is not None]
     linked = link_verdicts(run)
     if not linked:
         return judged or [_answer_by_ranking(run)]
-    first, *others = judged or [Answers("Settings are judged by what comes over each link.", about="links")]
+    first, *others = judged or [Answers("Settings are judged by the frames that arrive over each link.", about="links")]
     lines = [*filter(None, [first.sentence]), *linked[-1].sentences]
     return [replace(first, sentence="\n".join(lines)), *others]
 
@@ -113,13 +113,13 @@ def _answer_by_ranking(run: RunResult) -> Answers:
     rankings_there = [ranking for ranking in rankings(run, brief=True) if ranking.sequence == on]
     ranking = next((ranking for ranking in rankings_there if ranking.ranked), None)
     if ranking is None:
-        nothing = "Neither a task nor quality was measured of two codecs, so that they cannot be judged."
+        nothing = "Neither a task nor quality was measured for two codecs, so they cannot be compared."
         basis = next((reason for silent in rankings_there for reason in uninformative_notes(silent)), nothing)
-        return Answers(basis, sentence=f"Nothing can be named: {basis[0].lower()}{basis[1:]}")
+        return Answers(basis, sentence=f"Nothing can be recommended: {basis[0].lower()}{basis[1:]}")
     verdict = ranked_verdict(run, ranking)
     brief = replace(verdict, heads=verdict.heads[:-1], rows=tuple(row[:-1] for row in verdict.rows), sentences=())
     judged_by = f"Judged by {ranking.column.label}, {sequence_words(on)}"
-    basis = f"{judged_by}; add codec raw, beside which a setting passes or fails."
+    basis = f"{judged_by}; add codec raw, the baseline by which settings pass or fail."
     return Answers(basis, (), ranking.column.label, verdict.sentences[0], on, table=brief)
 
 
@@ -212,10 +212,10 @@ def _requirement(*limits_of_curves: Limit) -> str:
 
 
 def _extent(run: RunResult, limits_of_curves: Iterable[Limit] = ()) -> str:
-    """`fr3, the first 150 of 798 frames, 4 runs a setting`."""
+    """`fr3, the first 150 of 798 frames, 4 runs per setting`."""
     tests = [part for limit in limits_of_curves for setting in limit.settings for part in parts(setting)]
     runs = max((test.runs for test in tests if isinstance(test, Standing)), default=0)
-    many = f", {runs} {'run' if runs == 1 else 'runs'} a setting" if runs else ""
+    many = f", {runs} {'run' if runs == 1 else 'runs'} per setting" if runs else ""
     sequences = run.plan.sequences
     if len(sequences) > 1:
         return f"{len(sequences)} sequences together{many}"
@@ -246,7 +246,7 @@ def _use_sentence(judged: _Judged, curve: str, limit: Limit) -> str:
         words.append(f"nothing failed, so the limit is lower{': try ' if more else ''}{' and '.join(more)}")
     passing = {_codec(name) for name, other in judged.limits.items() if other.lowest is not None}
     if untried := [codec for codec in judged.stopped_searches if codec not in passing]:
-        words.append(f"not tried to the end: {', '.join(untried)}")
+        words.append(f"search unfinished: {', '.join(untried)}")
     return f"{'; '.join(words)}."
 
 
@@ -273,7 +273,7 @@ def _saving(judged: _Judged, curve: str, taken: Test) -> str:
             f"{judged.less(curve, taken, other, least)} than the next codec that passes ({setting_name(other, least)})"
         )
     if not name:
-        return f"where no {_codec(anchors[0])} setting tried passes" if anchors else ""
+        return f"while no {_codec(anchors[0])} setting tried passes" if anchors else ""
     lowest = judged.limits[name].lowest
     assert lowest is not None
     which = "coarsest" if judged.limits[name].next is None else "smallest"
@@ -285,19 +285,19 @@ def _saving(judged: _Judged, curve: str, taken: Test) -> str:
 def _nothing_sentence(judged: _Judged, raw: Limit) -> str:
     """Why nothing is known to pass: the nearest setting or the failing ones."""
     if not judged.limits:
-        return "Nothing can be named: no codec was measured beside the baseline."
+        return "Nothing can be recommended: only the baseline was measured."
     if reason := next((limit.reason for limit in judged.limits.values() if limit.reason), ""):
-        return f"Nothing can be named here: {reason}."
+        return f"Nothing can be recommended here: {reason}."
     likely = [(curve, near) for curve, limit in judged.limits.items() if (near := nearest(limit)) is not None]
     if likely:
         curve, near = min(likely, key=lambda item: item[1].rate)
-        return f"Nothing is known to pass here: nearest is {setting_name(curve, near)} ({describe(near)})."
+        return f"Nothing is known to pass here: the nearest is {setting_name(curve, near)} ({describe(near)})."
     if stopped := next(iter(judged.stopped_searches.values()), None):
-        return f"Nothing is known to pass here, as not all was tried: {stopped.codec}: {stopped.words}."
+        return f"Nothing is known to pass here, because a search is unfinished: {stopped.codec}: {stopped.words}."
     finest = [(curve, limit.settings[0]) for curve, limit in judged.limits.items() if limit.settings]
     failing = "; ".join(f"{setting_name(curve, test)} ({describe(test)})" for curve, test in finest[:2])
     beside = f"; raw itself: {describe(raw.settings[0])}" if raw.settings and raw.lowest is None else ""
-    return f"Nothing passes here, because the finest settings tried do not: {failing}{beside}."
+    return f"Nothing passes here, because the finest settings tried fail: {failing}{beside}."
 
 
 def nearest(limit: Limit) -> Test | None:

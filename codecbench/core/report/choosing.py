@@ -37,11 +37,11 @@ _NAMED: Final = 3
 """Settings that a sentence names before it counts the rest."""
 _FRESH: Final = f"a pose no older than {FRESH_S:g} s at"
 _GROUPS: Final[dict[Shortfall, tuple[str, str]]] = {
-    "time": ("frames in time", "have too few frames in time"),
+    "time": ("too few frames on time", "have too few frames before the deadline"),
     "failed": ("failed runs", "failed in most runs"),
-    "fresh": ("poses too seldom", "have a fresh pose too seldom"),
-    "error": ("the error", "err too much"),
-    "idle": ("no better than nothing received", "err no less than with nothing received"),
+    "fresh": ("too few fresh poses", "have too few fresh poses"),
+    "error": ("error too large", "have too large an error"),
+    "idle": ("no better than nothing received", "are no better than with nothing received"),
     "unmeasured": ("not measured", "are not measured in full"),
     "runs": ("too few runs", "have too few runs"),
 }
@@ -90,7 +90,7 @@ def _picks(run: RunResult, settings: list[Candidate]) -> Verdict:
             row[f"vs. {anchors[0].curve}"] = beside
         row["error m"] = "" if math.isnan(taken.error_m) else padded_digits(taken.error_m)
         row["fresh"] = "" if math.isnan(taken.fresh) else _percent(taken.fresh)
-        row["in time"] = "" if math.isnan(taken.share) else _percent(taken.share)
+        row["on time"] = "" if math.isnan(taken.share) else _percent(taken.share)
         row["runs"] = " and ".join(f"{standing.successes}/{standing.runs}" for standing in taken.standings)
         if taken.limit is None:
             coarser = [candidate for candidate in settings[: settings.index(taken)] if candidate.curve == curve]
@@ -142,7 +142,7 @@ def _table(run: RunResult, settings: list[Candidate], is_first: bool) -> Verdict
     """is_first: whether it is the link's first table, which states the rule; others have an answer of their own."""
     demand = settings[0].demand
     rate = "rate" if run.rate is None else f"rate [{run.rate.unit}]"
-    heads = ("setting", rate, *(["in time"] if demand.deadline_ms is not None else []),
+    heads = ("setting", rate, *(["on time"] if demand.deadline_ms is not None else []),
              "error [m]", "fresh pose", "runs", "verdict", "because")  # fmt: skip
     title = f"{sequence_words(settings[0].sequence)}: over {demand.link}, {demand_words(demand)}"
     rows = tuple(tuple(_row(run, candidate)) for candidate in settings)
@@ -165,12 +165,12 @@ def _rule(settings: list[Candidate]) -> str:
     error_m = settings[0].demand.error_m
     asked = "" if error_m is None else f"at most {error_m:g} m and "
     reader = (
-        f"A run succeeds with {_FRESH} {_percent(FRESH_SHARE)} of the moments or more and an error {asked}less than "
-        "with nothing received (the middle of the true path)."
+        f"A run needs {_FRESH} {_percent(FRESH_SHARE)} of capture times or more. Its error must be {asked}smaller "
+        "than with nothing received (the center of the true path)."
     )
     is_read = any(candidate.readings for candidate in settings)
-    passes = "A setting passes where more than half of all runs that there could be succeed, at 95 %."
-    return f"{reader if is_read else 'Nothing reads the frames, so that those in time decide alone.'} {passes}"
+    passes = "A setting passes if the 95 % confidence interval of its success rate lies above 50 %."
+    return f"{reader if is_read else 'No evaluator reads the frames, so only their delivery is judged.'} {passes}"
 
 
 def _row(run: RunResult, candidate: Candidate) -> Iterator[str]:
@@ -206,17 +206,17 @@ def limit_of(candidate: Candidate) -> str:
     fresh = _percent(median(reading.fresh for reading in short))
     cause, share = next(iter(candidate.causes.items()), ("", math.nan))
     words = {
-        "time": f"{_percent(candidate.share)} of frames in time of {_percent(demand.share)} asked, "
+        "time": f"{_percent(candidate.share)} of frames before the deadline ({_percent(demand.share)} required), "
         f"{_percent(share)} {cause}",
         "failed": "failed",
-        "fresh": f"{_FRESH} {fresh} of the moments < {_percent(FRESH_SHARE)}",
+        "fresh": f"{_FRESH} {fresh} of capture times < {_percent(FRESH_SHARE)}",
         "error": f"error {error_m} m > {_number(demand.error_m or math.nan)} m",
         "idle": f"error {error_m} m is no better than {idle_m} m with nothing received",
         "runs": f"only {min((standing.runs for standing in candidate.standings), default=0)} runs",
     }[limit]
     if 0 < len(short) < len(candidate.readings):
         words += f" in {len(short)} of {len(candidate.readings)} runs"
-    more = f"at least {candidate.more_runs} more would tell" if candidate.verdict == "inconclusive" else ""
+    more = f"at least {candidate.more_runs} more would decide" if candidate.verdict == "inconclusive" else ""
     return "; ".join(filter(None, (words, more)))
 
 
@@ -255,7 +255,7 @@ def _saving(run: RunResult, settings: list[Candidate]) -> str:
         return ""
     smallest = next(iter(_passing(anchors)), None)
     if smallest is None:
-        return f", where no {anchor} setting tried passes"
+        return f", while no {anchor} setting tried passes"
     less = f"{-_extra_percent(run, taken, smallest):.0f} % less than the smallest {anchor} that passes"
     return f", {less} ({smallest.point}, {_cost_words(run, smallest, brief=True)})"
 
@@ -273,12 +273,12 @@ def _setting(candidate: Candidate) -> Standing:
 def _facts(taken: Candidate) -> str:
     demand, facts = taken.demand, []
     if taken.readings:
-        asked = "" if demand.error_m is None else f" of {demand.error_m:g} m asked"
-        facts.append(f"error {_number(taken.error_m)} m{asked} ({_number(taken.idle_m)} m with nothing received)")
-        facts.append(f"{_FRESH} {_percent(taken.fresh)} of the moments ({_percent(FRESH_SHARE)} needed)")
+        bound = "" if demand.error_m is None else f"≤ {demand.error_m:g} m required, "
+        facts.append(f"error {_number(taken.error_m)} m ({bound}{_number(taken.idle_m)} m with nothing received)")
+        facts.append(f"{_FRESH} {_percent(taken.fresh)} of capture times ({_percent(FRESH_SHARE)} required)")
     if demand.deadline_ms is not None:
-        facts.append(f"{_percent(taken.share)} of frames in time of {_percent(demand.share)} asked")
-    return ", ".join([*facts, *([] if taken.readings else ["nothing reads them"])])
+        facts.append(f"{_percent(taken.share)} of frames before the deadline ({_percent(demand.share)} required)")
+    return ", ".join([*facts, *([] if taken.readings else ["no evaluator reads them"])])
 
 
 def _cost_words(run: RunResult, candidate: Candidate, *, brief: bool = False) -> str:
@@ -289,7 +289,7 @@ def _cost_words(run: RunResult, candidate: Candidate, *, brief: bool = False) ->
 
 def _notes(run: RunResult, settings: list[Candidate]) -> Iterator[str]:
     if run.rate is None:
-        yield "No rate was measured, so that settings stand in the order of the matrix; add an evaluator that has one."
+        yield "No rate was measured, so settings are in the order of the matrix; add an evaluator with a rate metric."
     missing: dict[str, list[str]] = defaultdict(list)
     for candidate in settings:
         if candidate.limit == "unmeasured":
@@ -297,7 +297,7 @@ def _notes(run: RunResult, settings: list[Candidate]) -> Iterator[str]:
                 missing[what].append(candidate.name)
     readers = (result.cell.evaluator.name for result in run.results
                if any(metric.quantity == "error" for metric in result.metrics.values()))  # fmt: skip
-    again = f"`codecbench run MATRIX --out {run.folder} --recompute {next(readers, '')}` measures it again"
+    again = f"`codecbench run MATRIX --out {run.folder} --recompute {next(readers, '')}` measures it"
     for what, names in missing.items():
-        add = "add an evaluator that measures it with the same parameters of the link"
-        yield f"{_names_and_count(names)}: {what} is not known; {again if what == IDLE_ERROR else add}."
+        add = "add an evaluator that measures it with the same link parameters"
+        yield f"{_names_and_count(names)}: {what} was not measured; {again if what == IDLE_ERROR else add}."

@@ -75,14 +75,14 @@ function curves() {
     const ringed = pointed.filter((row) => DATA.picks.some((pick) => pick.passes && pick.codec === row.codec && pick.setting === row.setting)).map(keyOf);
     const front = $("front").checked ? frontOf(pointed, x, y) : [];
     chart($("curve"), traces, bands, {
-      height: Math.max(300, Math.min(460, $("curve").clientWidth * 0.75)), label: `${columnOf(y).label} over ${columnOf(x).label}, one line a codec; the table below has the numbers`,
+      height: Math.max(300, Math.min(460, $("curve").clientWidth * 0.75)), label: `${columnOf(y).label} over ${columnOf(x).label}, one line per codec; the table below has the numbers`,
       x: { label: columnOf(x).label, log: logx }, y: { label: columnOf(y).label, log: logy }, chosen: STATE.at, ringed,
-      asked: Number.isFinite(bound) && (!logy || bound > 0) ? { value: bound, text: `${columnOf(y).better === "higher" ? "≥" : "≤"} ${shown(bound)} asked` } : undefined,
+      asked: Number.isFinite(bound) && (!logy || bound > 0) ? { value: bound, text: `${columnOf(y).better === "higher" ? "≥" : "≤"} ${shown(bound)} required` } : undefined,
       front, pick: (key) => look(key, true),
     });
     legend(rows, level, front.length > 0, ringed.length > 0);
     const left = DATA.rows.filter((row) => row.sequence === sequence && !rows.includes(row));
-    $("left-out").textContent = left.length ? `Without a number here: ${left.map(named).join("; ")}.` : "";
+    $("left-out").textContent = left.length ? `Without a value here: ${left.map(named).join("; ")}.` : "";
     remember({ seq: sequence, x, y, logx: Number(logx), logy: Number(logy), front: Number($("front").checked), off: off.size ? JSON.stringify([...off]) : "" });
   };
   const legend = (rows, level, fronted, ringed) => {

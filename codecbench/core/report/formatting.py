@@ -68,7 +68,7 @@ def compact_table(title: str, rows: Sequence[Mapping[str, str]]) -> Verdict:
 def curves_without_pick(failing: Sequence[str], curves: Sequence[str]) -> Iterator[str]:
     """Name the curves that have no pick: those whose settings all fail, and the others."""
     open_ = [curve for curve in curves if curve not in failing]
-    for words, names in (("No setting tried passes of", failing), ("No setting is known to pass of", open_)):
+    for words, names in (("No setting tried passes:", failing), ("No setting is known to pass:", open_)):
         if names:
             yield f"{words} {', '.join(names)}."
 
@@ -99,7 +99,7 @@ def search_verdicts(run: RunResult, *, brief: bool = False) -> Iterator[Verdict]
     """The findings of the matrix's searches; brief: without sentences, and without searches for what passes."""
     searches = [search for search in run.plan.searches if not (brief and search.objective == PASSES)]
     if searches:
-        heads = ("codec", "sequence", "sought", "", "setting", "has")
+        heads = ("codec", "sequence", "objective", "state", "setting", "value")
         rows = tuple(
             (search.codec, search.sequence, search.objective, search.state, search.setting or "–",
              "–" if search.reached is None else f"{search.reached:.4g}")
@@ -128,7 +128,7 @@ def ranked_verdict(run: RunResult, ranking: Ranking) -> Verdict:
          ", ".join(f"{other} ({_rate_against(ranking, other, ranked)})" for other in ranked.ahead_of) or "–")
         for ranked in ranking.ranked
     )  # fmt: skip
-    heads = ("codec", *cells, "better than")
+    heads = ("codec", *cells, "significantly better than")
     return Verdict(
         title, heads, rows, (_recommendation(run, ranking), *_remedies(ranking), *_notes(ranking)), ranking.column
     )
@@ -186,7 +186,7 @@ def _recommendation(run: RunResult, ranking: Ranking) -> str:
     if others:
         words += f"{';' if than else ','} or {'any other' if is_open and len(others) > 1 else ', '.join(others)}"
     if ranking.too_few:
-        return f"{words}: no test is made of so few {' and '.join(ranking.of)}."
+        return f"{words}: too few {' and '.join(ranking.of)} for a test."
     undecided = is_open and not any(ranked.ahead_of for ranked in ranking.ranked)
     return f"{words}: no significant difference ({SURE})." if undecided else f"{words}."
 
@@ -234,17 +234,17 @@ def _remedies(ranking: Ranking) -> Iterator[str]:
     for name in ranking.as_good:
         evidence, with_taken = ranking.evidence(name, taken), open_pairs.pop(frozenset((name, taken)), None)
         if evidence and with_taken:
-            yield f"{name} undecided ({signed_percent(evidence, taken)}): {remedy_words(with_taken)}."
+            yield f"{name}: inconclusive ({signed_percent(evidence, taken)}); would decide: {remedy_words(with_taken)}."
     if open_pairs:
         pairs = "other pair is" if len(open_pairs) == 1 else "other pairs are"
-        yield f"{len(open_pairs)} {pairs} undecided: codecbench power says what would decide."
+        yield f"{len(open_pairs)} {pairs} inconclusive: `codecbench power` shows what would decide."
 
 
 def remedy_words(pair: PairPower) -> str:
     """What would decide a pair of curves."""
     remedy, of = pair.remedy, " and ".join(pair.of)
     if remedy.gap is not None:
-        return f"add settings of {remedy.gap.curve} between {' and '.join(_ends(remedy.gap.points))}"
+        return f"more settings of {remedy.gap.curve} between {' and '.join(_ends(remedy.gap.points))}"
     if remedy.kind == "samples":
         like = " like these" if pair.of == ("frames",) and remedy.more else ""
         about = "" if remedy.more is None else f"about {_two_digits(remedy.more)} "
@@ -252,9 +252,9 @@ def remedy_words(pair: PairPower) -> str:
     return {
         "decided": "–",
         "equal": "nothing",
-        "small": f"nothing, as less than {_SMALLEST} is not worth deciding",
-        "sequences": "more sequences, as these disagree",
-        "beyond": f"not by more {of}",
+        "small": f"nothing: less than {_SMALLEST} is negligible",
+        "sequences": "more sequences, because these disagree",
+        "beyond": f"not even a hundred times the {of}",
     }[remedy.kind]
 
 
@@ -274,7 +274,7 @@ def _notes(ranking: Ranking) -> Iterator[str]:
     if drifting:
         more = f" and {len(drifting) - _NAMED} more" if len(drifting) > _NAMED else ""
         pairs = f"{'; '.join(drifting[:_NAMED])}{more}"
-        yield f"Differences that drift over the whole sequence, so that their errors may be larger: {pairs}."
+        yield f"These differences drift over the whole sequence, so their errors may be larger: {pairs}."
     if correlation := ranking.rank_correlation:
         least = min(correlation, key=lambda name: correlation[name])
         yield (
@@ -285,7 +285,7 @@ def _notes(ranking: Ranking) -> Iterator[str]:
         if ranked.missing:
             yield f"{ranked.curve}: {ranked.missing} of {ranked.values} values are missing; each counts as the worst."
     for curve, reason in ranking.left_out.items():
-        yield f"{curve} has no place: {reason}."
+        yield f"{curve} is not ranked: {reason}."
 
 
 def uninformative_notes(ranking: Ranking) -> Iterator[str]:
@@ -303,7 +303,7 @@ def sequences_are_samples(ranking: Ranking) -> str:
         who = f"{len(few)} sequences have"
     else:
         who = f"{' and '.join(few)} {'has' if len(few) == 1 else 'have'}"
-    return f"The sequences are the samples, as {who} too few {of} for an error of its own"
+    return f"The sequences are the samples, because {who} too few {of} for a standard error"
 
 
 def _missing_comparisons(ranking: Ranking) -> Iterator[str]:
@@ -370,8 +370,8 @@ def baseline_rate(run: RunResult, sequence: str) -> tuple[str, float] | None:
     return raw[0] if raw else None
 
 
-_PAIR_HEADS = ("codecs", "difference", "smallest shown", "says", "would decide")
-_LIMIT_HEADS = ("setting", "runs that succeed", "told from", "says", "would decide")
+_PAIR_HEADS = ("codecs", "difference", "smallest detectable", "verdict", "would decide")
+_LIMIT_HEADS = ("setting", "successful runs", "detectable rate", "verdict", "would decide")
 
 
 def power_verdicts(run: RunResult, power: float = POWER) -> list[Verdict]:
@@ -404,13 +404,13 @@ def _pairs_table(pairs: list[PairPower]) -> Verdict:
 
 
 def _power_words(power: float) -> str:
-    return f"found in {100.0 * power:.3g} % of cases"
+    return f"power {100.0 * power:.3g} %"
 
 
 def _outcome(pair: PairPower) -> str:
     if pair.stands:
-        return f"{pair.first if pair.difference > 0 else pair.second} is better"
-    return f"equal within {_SMALLEST}" if pair.remedy.kind == "equal" else "undecided"
+        return f"{pair.first if pair.difference > 0 else pair.second} is significantly better"
+    return f"equal within {_SMALLEST}" if pair.remedy.kind == "equal" else "inconclusive"
 
 
 def _limits_table(powers: list[LimitPower]) -> Verdict:
@@ -423,9 +423,9 @@ def _limits_table(powers: list[LimitPower]) -> Verdict:
             f"{limit.standing.successes}/{limit.standing.runs}",
             "–" if math.isnan(limit.detectable_rate) else f"{100 * limit.detectable_rate:.0f} %",
             limit.standing.verdict,
-            "–" if limit.more_runs == 0 else f"{limit.more_runs} more runs at best",
+            "–" if limit.more_runs == 0 else f"at least {limit.more_runs} more runs",
         )
         for limit in powers
     )
     stood = sum(limit.more_runs == 0 for limit in powers)
-    return Verdict(title, _LIMIT_HEADS, rows, (f"{stood} of {len(powers)} verdicts stand at 95 %.",))
+    return Verdict(title, _LIMIT_HEADS, rows, (f"{stood} of {len(powers)} verdicts are conclusive at 95 %.",))

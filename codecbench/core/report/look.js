@@ -12,7 +12,7 @@ function looking() {
   const choose = (key) => {
     const row = rows.find((found) => keyOf(found) === key);
     $("nothing").hidden = Boolean(row);
-    if (!row) { $("nothing").textContent = "Of this setting the page keeps neither frames nor a path."; viewer.show([]); path.show([]); return; }
+    if (!row) { $("nothing").textContent = "The page has neither frames nor a path of this setting."; viewer.show([]); path.show([]); return; }
     fill($("look-sequence"), sequences, row.sequence);
     fill($("look-setting"), rows.filter((found) => found.sequence === row.sequence).map(keyOf), key, (value) => title(JSON.parse(value), frames.get(value)));
     viewer.show(frames.get(key) || []); path.show(drawings.get(key) || []);
@@ -56,8 +56,8 @@ function frameViewer(tell) {
     if (part("marked").checked && frame.note) for (const [kind, list] of [["kept", frame.kept], ["lost", frame.lost]]) {
       for (let i = 0; i < list.length; i += 2) shape("circle", { cx: list[i], cy: list[i + 1], r: kind === "lost" ? 4 : 2.5, class: kind }, part("marks"));
     }
-    const said = { slider: "original left of the line, decoded right of it", flip: flipped ? "original" : "decoded", difference: "difference of gray, 4 times, around middle gray" }[mode];
-    part("caption").textContent = [`frame ${frame.frame}`, said, frame.note && `${frame.note} over the whole frame${part("marked").checked ? "; lost are red" : ""}`].filter(Boolean).join("; ");
+    const said = { slider: "original left of the line, decoded right of it", flip: flipped ? "original" : "decoded", difference: "difference in gray, amplified 4 times, around middle gray" }[mode];
+    part("caption").textContent = [`frame ${frame.frame}`, said, frame.note && `${frame.note} over the whole frame${part("marked").checked ? "; lost keypoints are red" : ""}`].filter(Boolean).join("; ");
     remember({ frame: frame.frame, mode, zoom });
   };
   part("mode").addEventListener("change", () => { part("marked").checked = part("mode").value === "difference"; show(); });
@@ -100,7 +100,7 @@ function pathViewer(tell) {
       known || !told ? [{ low: 0, high: 0, value: 0, colour: "var(--line)" }] : [], {
         height: 190 + LANE * timeline.rows.length, x: { label: "frame" }, y: { label: `${timeline.quantity} [${timeline.unit}]` },
         lanes: { from: timeline.frames[0], to: timeline.last, of: timeline.rows },
-        label: `Timeline. ${known ? `${timeline.quantity}: at most ${shown(most)} ${timeline.unit}` : `No ${timeline.quantity} is known`}. ${told ? `Frames: ${told}` : "Frames without a pose are marked"}.`,
+        label: `Timeline. ${known ? `${timeline.quantity}: at most ${shown(most)} ${timeline.unit}` : `No known ${timeline.quantity}`}. ${told ? `Frames: ${told}` : "Frames without a pose are marked"}.`,
       });
     $("path-scrub").max = timeline.frames.length - 1;
     move();
@@ -127,7 +127,7 @@ function pathViewer(tell) {
       return /[1-9]/.test(lane.levels.slice(first, last + 1));
     });
     const known = far !== null ? `${timeline.quantity} ${from < to ? "up to " : ""}${shown(far)} ${timeline.unit}`
-      : timeline.x && timeline.x[place] === null ? `no pose${lanes.length ? "" : " (lost)"}` : `no ${timeline.quantity} known`;
+      : timeline.x && timeline.x[place] === null ? `no pose${lanes.length ? "" : " (lost)"}` : `no known ${timeline.quantity}`;
     $("path-caption").textContent = `${here().drawing.caption}. Frame${from < to ? `s ${from} to ${to}` : ` ${from}`}: ${[...lanes.map((lane) => lane.name), known].join(", ")}`;
   };
   const closest = (frame) => timelineOf().frames.reduce((best, each, i, all) => Math.abs(each - frame) < Math.abs(all[best] - frame) ? i : best, 0);

@@ -164,7 +164,7 @@ def _cards(run: RunResult) -> list[dict[str, str]]:
     }
     machines = [str(machine.get("cpu") or "unknown processor") for machine in known.values()]
     several = f"{len(machines)} machines: do not compare times"
-    note = "times hold for this machine alone" if len(machines) < 2 else several
+    note = "times are valid for this machine only" if len(machines) < 2 else several
     return [*cards, {"title": "Machine", "value": machines[0] if machines else "unknown", "tone": "", "note": note}]
 
 
@@ -173,7 +173,7 @@ def _codes(run: RunResult) -> list[list[str]]:
     counts = Counter(item for result in run.results if result.status == "ok" for item in result.code.items())
     rows = [[label, *code.rpartition(" ")[::2], str(count)] for (label, code), count in sorted(counts.items())]
     several = {label for label, count in Counter(row[0] for row in rows).items() if count > 1}
-    return [[*row, "other code made the rest: do not compare them" if row[0] in several else ""] for row in rows]
+    return [[*row, "its other cells ran other code: do not compare them" if row[0] in several else ""] for row in rows]
 
 
 def _plugin_distributions(run: RunResult) -> list[str]:
@@ -223,7 +223,7 @@ def write_report(
     """
     longest = max((entry.frames for entry in run.plan.sequences), default=0)
     if beyond := [number for number in frames if not 0 <= number < longest]:
-        raise ParamsError(f"frame {beyond[0]} is in no sequence of the run; they have frames 0 to {longest - 1}")
+        raise ParamsError(f"no sequence of the run has frame {beyond[0]}; frames are 0 to {longest - 1}")
     if format_ == "html":
         content = render(run, partial(frame_pictures, run, sequences_from=sequences_from, wanted=frames)).encode()
     elif format_ in ("markdown", "md", "latex"):

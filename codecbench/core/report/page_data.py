@@ -265,7 +265,7 @@ def _missing(rankings: list[Ranking]) -> list[str]:
     """Say why codecs have no rate vs. an anchor, each reason once for all its columns."""
     columns: dict[str, list[str]] = {}
     for ranking in rankings:
-        reasons = [f"{curve} has no place: {reason}" for curve, reason in ranking.left_out.items()]
+        reasons = [f"{curve} is not ranked: {reason}" for curve, reason in ranking.left_out.items()]
         for anchor in ranking.anchors:
             apart = ranking.without_common_rate(anchor)
             reasons += [f"{curve} was not compared with {anchor}: {NO_COMMON_RATE}" for curve in apart]

@@ -94,7 +94,9 @@ def frame_pictures(
     for entry in run.plan.sequences:
         settings = _settings_by_rate(run, entry, first)
         if settings and not _has_bitstreams(run, entry, settings):
-            log.warning("no images of %s: the run folder holds no bitstreams, as of a bundle without them", entry.name)
+            log.warning(
+                "no images of %s: the run folder has no bitstreams, like one from a bundle without them", entry.name
+            )
             continue
         params = _dataset_params(run, entry, sequences_from)
         if params is None:
@@ -219,7 +221,7 @@ def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | 
             return {name: relocate(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
         elsewhere = PlanFile(run.folder).origin_elsewhere() if sequences_from is None else None
         if elsewhere is not None:
-            message = f"the run was made in {elsewhere}, so the sequences that its plan names are not opened"
+            message = f"the run was made in {elsewhere}, so the sequences of its plan are not opened"
             raise DatasetError(f"{message}; give --sequences-from FOLDER, or --sequences-from same")
     except (CodecbenchError, OSError) as error:
         log.warning("no images of %s: %s", entry.name, clean_line(str(error)))

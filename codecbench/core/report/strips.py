@@ -131,7 +131,7 @@ def link_strips(run: RunResult) -> list[Strips]:
         sweeps.sort(key=lambda sweep: math.inf if sweep.pick is None else sweep.pick.value)
         picked = [sweep.curve for sweep in sweeps if sweep.pick is not None]
         base = next((curve for curve in picked if curve.split(" ")[0] in run.schema.anchors), "")
-        by_link.append(_lay_out(f"what comes over {settings[0].demand.link}", unit, sweeps, base))
+        by_link.append(_lay_out(f"frames over {settings[0].demand.link}", unit, sweeps, base))
     return by_link
 
 

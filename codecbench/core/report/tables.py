@@ -222,7 +222,7 @@ def calibration_notes(run: RunResult) -> list[str]:
 
 def _notes_on(calibrated: Calibrations) -> Iterator[str]:
     raw, by = calibrated.baseline, calibrated.column.label
-    first = f"{', '.join(calibrated.others)}: {calibrated.sequence} under another calibration, which no answer counts"
+    first = f"{', '.join(calibrated.others)}: {calibrated.sequence} under another calibration, excluded from answers"
     if calibrated.medians:
         medians = (f"{_against(calibrated.column, value)} on {name}" for name, value in calibrated.medians.items())
         first += f"; {by} of {raw}: {', '.join(medians)}"
@@ -235,19 +235,20 @@ def _notes_on(calibrated: Calibrations) -> Iterator[str]:
         )
         yield (
             f"{calibrated.sequence}: {orders.setting} is better than {raw} by {by} on {better}, and worse on {worse}: "
-            "their order is within what this calibration can tell."
+            "the calibration decides their order."
         )
     if len(reversals) > _TURNING:
-        yield f"{calibrated.sequence}: so it is of {counted(len(reversals) - _TURNING, 'more setting')}."
+        more = counted(len(reversals) - _TURNING, "more setting")
+        yield f"{calibrated.sequence}: the calibration also decides the order of {more}."
     comparable = sum(orders.is_comparable for orders in calibrated.settings)
     if comparable and not reversals:
         several = f"{comparable} of {counted(len(calibrated.settings), 'setting')}"
-        none_turns = f"no order of {raw} and a setting turns"
-        yield f"{calibrated.sequence}: {none_turns}, of {several} that have one under two or more."
+        none_turns = f"no order of {raw} and a setting is reversed"
+        yield f"{calibrated.sequence}: {none_turns} (known for {several} under two or more calibrations)."
     elif calibrated.settings and not reversals:
         yield (
-            f"{calibrated.sequence}: no setting has an order beside {raw} under two calibrations, beyond the scatter "
-            "over starts, so that nothing tells whether one turns."
+            f"{calibrated.sequence}: no setting differs from {raw} under two calibrations by more than the "
+            "scatter over start offsets, so no order can be compared."
         )
 
 

@@ -44,7 +44,7 @@ class Edge:
         except Unfinished:
             return self._partial()
         except Stopped as stop:
-            return self._finding("stopped", None, f"stopped, {stop}; the next run tries that again"), None
+            return self._finding("stopped", None, f"stopped: {stop}; the next run tries again"), None
         return self._final()
 
     def _bisect(self, *, succeeding: bool, first_at_low: bool) -> None:
@@ -75,7 +75,7 @@ class Edge:
         if self.high == len(order):
             return self._finding("unreachable", None, f"no setting passes: {self._describe(order[-1])}"), None
         words = self._describe(order[self.high])
-        words += f"; {self._describe(order[self.low])}" if self.low >= 0 else "; that is the end of the axis"
+        words += f"; {self._describe(order[self.low])}" if self.low >= 0 else "; it is the end of the axis"
         setting = self.search.settings[order[self.high]]
         return self._finding("found", setting, words), setting
 
@@ -83,8 +83,8 @@ class Edge:
         order = self._order
         ends = dict.fromkeys(self.search.settings[order[at]].label for at in (self.low + 1, self.high - 1))
         if self.in_time:
-            return self._finding("under way", None, f"looked for from {' to '.join(ends)}"), None
-        words = f"not tried for lack of time: {' to '.join(ends)}"
+            return self._finding("under way", None, f"searching from {' to '.join(ends)}"), None
+        words = f"no time left to try {' to '.join(ends)}"
         if not self.proven or self.high == len(order):
             return self._finding("stopped", None, words), None
         setting = self.search.settings[order[self.high]]

@@ -188,7 +188,7 @@ class Source:
             return None
         column = Column(self.evaluator, self.metric, "", self.metric.aggregates[0])
         values = [value for result in results for value in values_in(result, column)[:1] if math.isfinite(value)]
-        return float(np.median(values)) if values else f"{self.evaluator.title} gives no {self.metric.name} here"
+        return float(np.median(values)) if values else f"{self.evaluator.title} measured no {self.metric.name} here"
 
 
 class RequiredInputs:

@@ -47,9 +47,9 @@ class ParameterSearch:
         except Unfinished:
             if self.in_time:
                 return self._finding("under way", None, f"{len(self.tried)} settings tried so far"), None
-            return self._finding("stopped", None, f"no more time; {self._effort()}"), None
+            return self._finding("stopped", None, f"no time left; {self._effort()}"), None
         except Stopped as stop:
-            return self._finding("stopped", None, f"stopped, {stop}; the next run tries that again"), None
+            return self._finding("stopped", None, f"stopped: {stop}; the next run tries again"), None
 
     @property
     def _objective(self) -> Objective:
@@ -121,9 +121,9 @@ class ParameterSearch:
         words = f"{trial.label} gives {_number(trial.value)}{_off(trial.value, objective.value)}"
         state: SearchState = "nearest"
         if ended is not None and ended.outcome == "one side":
-            state, words = "unreachable", f"no setting reaches that; of its ends, {words} is nearer"
+            state, words = "unreachable", f"no setting reaches the target; at the nearer end, {words}"
         elif ended is not None and ended.outcome == "spent":
-            state, words = "stopped", f"the budget is spent; of what was tried, {words} is nearest"
+            state, words = "stopped", f"the budget is spent; the nearest setting tried: {words}"
         elif self._near_enough(trial):
             state = "found"
         return self._finding(state, trial, f"{words}; {self._effort()}"), trial.setting
@@ -139,14 +139,18 @@ class ParameterSearch:
             came = f"the nearest is {self._describe(best)}" if not math.isnan(best.value) else best.reason
             state: SearchState = "stopped" if ended.outcome == "spent" else "unreachable"
             spent = "the budget is spent, and " if ended.outcome == "spent" else ""
-            return self._finding(state, None, f"{spent}no setting tried will do: {came}; {self._effort()}"), None
+            return self._finding(
+                state, None, f"{spent}no setting tried meets the objective: {came}; {self._effort()}"
+            ), None
         if ended.outcome == "one side" or len(meeting) == len(self.tried):
             place = min(meeting, key=lambda place: (objective.distance(meeting[place].value), -place))
-            words = f"every setting tried will do, also {self._describe(meeting[place])}"
+            words = f"every setting tried meets the objective, even {self._describe(meeting[place])}"
         else:
             place = ended.low if ended.low in meeting else ended.high
             other = ended.high if place == ended.low else ended.low
-            words = f"{self._describe(meeting[place])} will do, {self._describe(self.tried[other])} will not"
+            words = (
+                f"{self._describe(meeting[place])} meets the objective, {self._describe(self.tried[other])} does not"
+            )
         if ended.outcome == "spent":
             return self._finding("stopped", meeting[place], f"the budget is spent; {words}; {self._effort()}"), (
                 meeting[place].setting
@@ -161,10 +165,10 @@ class ParameterSearch:
         if not meeting:
             return self._boundary(BisectionResult("one side", 0, 0))
         place = min(meeting, key=self._least)
-        words = f"{self._describe(self.tried[place])} will do"
+        words = f"{self._describe(self.tried[place])} meets the objective"
         if self.search.least is not None:
             _, metric = self.search.least
-            words += f", and of those that will has the least {metric.name}, {_number(self._least(place))}"
+            words += f", at the least {metric.name} ({_number(self._least(place))})"
         return self._finding("found", self.tried[place], f"{words}; {self._effort()}"), self.search.settings[place]
 
     def _describe(self, trial: Trial) -> str:

@@ -117,7 +117,7 @@ class Trials:
             raise Unfinished
         stages = sorted({_of_success(column) for columns in self._criteria(sequence) for column in columns})
         if not stages or run.rate is None:
-            raise Stopped("no evaluator says whether a setting passes, or none what it spends")
+            raise Stopped("no evaluator measures whether a setting passes, or none measures its rate")
         return stages
 
     def judge(self, sequence: str, setting: PluginSetting, *, succeeding: bool) -> Test:
@@ -215,7 +215,7 @@ class Trials:
             for measured in result.measurements:
                 if measured.metric == column.metric.name and measured.reason:
                     return measured.reason
-        return f"{column.evaluator.title} gives no {column.measure}.{column.aggregate} here"
+        return f"{column.evaluator.title} measured no {column.measure}.{column.aggregate} here"
 
 
 def _of_success(column: Column) -> bool:

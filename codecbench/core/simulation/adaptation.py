@@ -75,7 +75,7 @@ def adaptive_encoder(coded: CodedSequence, adaptation: Adaptation) -> AdaptiveEn
     """
     codec = coded.codec
     if codec.carries != "pictures":
-        raise Unsupported(f"adapt: {codec.name} codes neither single pictures nor a stream of them")
+        raise Unsupported(f"adapt: {codec.name} encodes neither single frames nor a stream of frames")
     return AdaptivePictures(coded, adaptation) if codec.stateless else AdaptiveStream(coded, adaptation)
 
 
@@ -113,7 +113,7 @@ class AdaptiveStream:
     def __init__(self, coded: CodedSequence, adaptation: Adaptation) -> None:
         codec = coded.codec
         if not codec.is_low_delay():
-            raise Unsupported(f"adapt: {codec.name} holds pictures back with this setting; give one that does not")
+            raise Unsupported(f"adapt: {codec.name} delays frames with this setting; give a low-delay setting")
         self._sequence = coded.sequence
         self._codecs = _variants(codec, adaptation)
         self._level = 0
@@ -141,8 +141,10 @@ class AdaptiveStream:
         self._recent.append((now_s, image))
         packets = self._encoder.push(image)
         if len(packets) != 1 or packets[0].frame != self._pushed:
-            fault = f"gave {len(packets)} packets for picture {self._pushed} of a session"
-            raise PluginError(f"{self._codecs[level].name} says that it is of low delay, and {fault}; it gives its own")
+            fault = f"returned {len(packets)} packets for frame {self._pushed} of a session"
+            raise PluginError(
+                f"{self._codecs[level].name} is declared low-delay but {fault}; expected one, of that frame"
+            )
         (packet,) = packets
         self._pushed += 1
         self.bitstreams[frame] = packet.data
@@ -185,4 +187,4 @@ def _variant(codec: C, parameter: str, value: float) -> C:
         return codec.with_params(**{parameter: value})
     except (ValidationError, PluginError) as error:
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
-        raise Unsupported(f"adapt: {codec.name} does not take {parameter}={value}: {reason}") from error
+        raise Unsupported(f"adapt: {codec.name} rejects {parameter}={value}: {reason}") from error

@@ -32,7 +32,7 @@ class EventSimulator:
     def at(self, time_s: float, action: Callable[[], None]) -> None:
         """Schedule an action. Raises ValueError if the time is past: an effect before its cause."""
         if not time_s >= self.now_s:
-            raise ValueError(f"planned for {time_s} s at {self.now_s} s; nothing happens in the past")
+            raise ValueError(f"an event at {time_s} s was scheduled at {self.now_s} s, after its time")
         heapq.heappush(self._events, (time_s, next(self._numbers), action))
 
     def run(self) -> None:
@@ -98,7 +98,7 @@ class LinkQueue(ABC):
         if not start_s <= passage.sent_s < math.inf or not (
             passage.arrives_s is None or passage.sent_s <= passage.arrives_s < math.inf
         ):
-            raise PluginError(f"{type(self._channel).__name__}: a packet whose turn is at {start_s} s has {passage}")
+            raise PluginError(f"{type(self._channel).__name__}: a packet sent from {start_s} s got {passage}")
         self._free_s = passage.sent_s
         return passage
 

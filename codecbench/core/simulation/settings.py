@@ -32,14 +32,16 @@ MeasuredTime = Annotated[Time | Literal["measured"], WrapValidator(_time_or_word
 
 
 class Adaptation(Params):
-    """The parameter of a codec that a sender sets for each picture, and its range from the coarsest to the finest."""
+    """The codec parameter that the sender sets for each frame, and its range."""
 
     parameter: str
+    """Name of the codec's parameter."""
     range: tuple[int | float, int | float]
+    """Its coarsest and its finest value."""
 
 
 class LinkSettings(Params):
-    """How frames get from the camera to the reader. docs/link.md explains each parameter."""
+    """Describes how frames get from the camera to the reader; see docs/link.md."""
 
     times: ClassVar[Mapping[str, Quantity]] = {"encode_ms": "encoding", "decode_ms": "decoding"}
     """Parameters that may be `measured`, with the quantity that is measured then."""
@@ -47,10 +49,11 @@ class LinkSettings(Params):
     link: str | None = None
     """Name of a link plugin; None for no link: frames arrive at once."""
     link_params: dict[str, Any] = Field(default_factory=dict)
+    """Parameters of the link plugin."""
     transport: Transport = "datagrams"
     """How lost packets are handled."""
     fec_share: Annotated[float, Field(gt=0.0, le=10.0)] = 0.2
-    """Redundant packets for each data packet."""
+    """Redundant packets for each data packet, with the transport `fec`."""
     mtu: Annotated[int, Field(ge=32, le=65535)] = 1500
     """Largest packet in bytes, headers included."""
     header_bytes: Annotated[int, Field(ge=0)] = 40
@@ -60,15 +63,15 @@ class LinkSettings(Params):
     deadline_ms: Annotated[float, Field(gt=0.0)] | None = None
     """Age in milliseconds beyond which a frame is useless; None for no deadline."""
     adapt: Adaptation | None = None
-    """The codec parameter that the sender sets so that frames fit the link's throughput."""
+    """The codec parameter that the sender sets so that frames fit the link's throughput; None for none."""
     concealed: bool = False
     """Whether frames that depend on a lost one are output as the decoder conceals them."""
     partial: bool = False
     """Whether intra-coded frames are output without their lost packets, by codecs that decode the rest."""
     encode_ms: MeasuredTime = 0.0
-    """Encoding time of a frame."""
+    """Encoding time of a frame in milliseconds; 0 for none."""
     decode_ms: MeasuredTime = 0.0
-    """Decoding time of a frame."""
+    """Decoding time of a frame in milliseconds; 0 for none."""
     device_factor: Annotated[float, Field(gt=0.0)] = 1.0
     """How many times slower the encoding device is than the one timed."""
     receiver_factor: Annotated[float, Field(gt=0.0)] = 1.0
@@ -81,13 +84,13 @@ class LinkSettings(Params):
         defaults = LinkSettings.model_construct()
         changed = [name for name in LinkSettings.model_fields if getattr(self, name) != getattr(defaults, name)]
         if self.link is None and (changed or type(self).model_fields["link"].default is not None):
-            raise ValueError(f"{(changed or ['this'])[0]} is about a link; name one, such as link: ideal")
+            raise ValueError(f"{(changed or ['this'])[0]} needs a link; set one, such as link: ideal")
         if self.header_bytes >= self.mtu:
-            raise ValueError(f"header_bytes {self.header_bytes} leaves nothing of mtu {self.mtu}")
+            raise ValueError(f"header_bytes {self.header_bytes} must be less than mtu {self.mtu}")
         if self.partial and self.is_repaired:
-            raise ValueError(f"partial is for datagrams and fec; {self.transport} sends lost packets again")
+            raise ValueError(f"partial needs transport datagrams or fec; {self.transport} retransmits lost packets")
         if self.queue_policy == "drop_late" and self.deadline_ms is None:
-            raise ValueError("queue_policy drop_late needs deadline_ms: late for what?")
+            raise ValueError("queue_policy drop_late needs deadline_ms")
         return self
 
     @property
@@ -146,17 +149,17 @@ class LinkSettings(Params):
 
 
 class ReaderSettings(LinkSettings):
-    """How frames get to a reader that takes `slam_ms` for each, and skips those that arrive meanwhile."""
+    """Describes how frames get to a reader that spends `slam_ms` on each and skips those that arrive meanwhile."""
 
     times: ClassVar[Mapping[str, Quantity]] = {**LinkSettings.times, "slam_ms": "reading"}
 
     slam_ms: MeasuredTime = 0.0
-    """Processing time of a frame by the reader."""
+    """Processing time of a frame by the reader, in milliseconds; 0 for none."""
 
     @model_validator(mode="after")
     def _check_slam_ms(self) -> Self:
         if self.link is None and self.slam_ms:
-            raise ValueError("slam_ms is about a link; name one, such as link: ideal")
+            raise ValueError("slam_ms needs a link; set one, such as link: ideal")
         return self
 
     @property
@@ -167,5 +170,5 @@ class ReaderSettings(LinkSettings):
 
 def _seconds(time_ms: float | str) -> float:
     if isinstance(time_ms, str):
-        raise TypeError(f"{time_ms!r} is no time yet; `with_measured_times` puts what was measured in its place")
+        raise TypeError(f"{time_ms!r} is not a time; `with_measured_times` replaces it")
     return 1e-3 * time_ms

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from told import numbers
 
 from codecbench.core.analysis.bjontegaard import BdRate, bd_rate
 
@@ -58,7 +59,7 @@ def test_a_codec_that_needs_half_the_rate_is_at_minus_fifty_percent() -> None:
         (([100, 200, 400, 800], [30, 30, 36, 38]), "not monotone"),
         (([-1, 200, 400, 800], [30, 33, 36, 38]), "not positive"),
         (([100, 200, 400, np.inf], [30, 33, 36, 38]), "infinite"),
-        (([100, 200, np.nan, 800], [30, 33, 36, 38]), "is not known"),
+        (([100, 200, np.nan, 800], [30, 33, 36, 38]), "unknown rate"),
         (([100, 200, 400, 800], [39, 40, 41, 42]), "share no quality"),
         (([100, 200, 400, 800], [36.8, 38, 43, 46]), r"share only 24 %.*\b25 %"),
         (([], []), "0 usable points"),
@@ -86,7 +87,8 @@ def test_a_curve_needs_as_many_points_as_its_method() -> None:
     enough = bd_rate(rates, qualities, 2 * rates[:least], qualities[:least])
     assert enough.percent == pytest.approx(100.0)
     few = bd_rate(rates, qualities, rates[: least - 1], qualities[: least - 1])
-    assert few.reason == f"the test curve has {least - 1} usable points; pchip needs {least}"
+    assert few.reason.startswith("the test curve")
+    assert numbers(few.reason) == [least - 1, least]
 
 
 def test_a_lossless_curve_is_refused_without_a_warning_of_numpy() -> None:
@@ -112,7 +114,7 @@ def test_settings_are_taken_in_any_order() -> None:
     assert bd_rate(*ANCHOR, *(values[order] for values in given)) == bd_rate(*ANCHOR, *given)
 
 
-def test_it_is_said_in_words() -> None:
+def test_a_result_as_text() -> None:
     assert str(BdRate(-12.34, 1.0)) == "-12.3 %"
     reason = "no rate is known"
     assert str(BdRate(float("nan"), 0.0, reason)) == f"no BD-rate: {reason}"
@@ -126,7 +128,7 @@ def test_a_setting_that_failed_is_counted_and_ends_its_curve() -> None:
 
 def test_a_reason_names_the_curve_at_fault() -> None:
     clean, falling = ([100, 200, 400], [30, 33, 36]), ([100, 200, 400], [30, 34, 33])
-    rest = "curve is not monotone: rate 200 -> 400 takes quality from 34 to 33"
+    rest = "curve is not monotone: from rate 200 to 400, quality goes from 34 to 33"
     assert bd_rate(*falling, *clean).reason == f"the anchor {rest}"
     assert bd_rate(*clean, *falling).reason == f"the test {rest}"
 

@@ -11,7 +11,7 @@ import pytest
 from measured_runs import cell_result, run_of
 from told import numbers
 
-from codecbench.core.analysis.choosing import TOO_OLD, Candidate, Demand, NotMeasured, candidates
+from codecbench.core.analysis.choosing import IDLE_ERROR, TOO_OLD, Candidate, Demand, NotMeasured, candidates
 from codecbench.core.analysis.table import CellResult
 from codecbench.core.contracts.evaluator import Measurement
 from codecbench.core.contracts.metric import Metric
@@ -87,11 +87,6 @@ RUN = [
     *delivered(4.0, 9), *read(4.0, [0.02] * 5),
     *delivered(8.0, 3), *read(8.0, [0.01] * 5),  # most are gone
 ]  # fmt: skip
-RULE = (
-    "A run succeeds with a pose no older than 0.5 s at 50 % of the moments or more and an error at most 0.1 m and less "
-    "than with nothing received (the middle of the true path). A setting passes where more than half of all runs that "
-    "there could be succeed, at 95 %."
-)
 
 
 def test_a_setting_passes_where_frames_come_in_time_and_are_of_use() -> None:
@@ -126,15 +121,15 @@ def test_the_setting_to_take_over_a_link_is_picked() -> None:
     assert answer_picks(run_of(*lost)) == []
 
 
-def test_knowing_nothing_is_never_a_success() -> None:
+def test_an_error_no_smaller_than_with_nothing_received_is_no_success() -> None:
     """A camera that hardly moves: a reader that gets nothing errs 4.3 cm, which is less than is asked."""
     still = [size(1.0), *read(1.0, [0.043] * 8, blind=0.043, new=0.0)]
     for demand in (Demand("radio"), Demand("radio", error_m=0.05)):
         *_, answers = choices(run_of(*still), demand)
-        assert answers.sentences == (
-            "Nothing passes over radio, because 1 of 1 settings have a fresh pose too seldom, such as plain q=1.0 "
-            "(a pose no older than 0.5 s at 0 % of the moments < 50 %).",
-        )
+        (sentence,) = answers.sentences
+        for part in ("Nothing passes", "over radio", "fresh poses", "plain q=1.0"):
+            assert part in sentence
+        assert numbers(sentence) == [1.0, 1.0, 1.0, 0.5, 0.0, 50.0]
     told_wrong = [size(1.0), *read(1.0, [0.044] * 8, blind=0.043), *read(2.0, [0.042] * 8, blind=0.043)]
     found = judged(Demand("radio", error_m=0.05), *told_wrong)
     assert (found["q=1.0"].verdict, found["q=1.0"].limit) == ("fails", "idle")
@@ -144,7 +139,7 @@ def test_knowing_nothing_is_never_a_success() -> None:
     assert numbers(table.rows[0][-1]) == [0.044, 0.043]
 
 
-def test_a_reader_that_knows_where_it_is_too_seldom_does_not_track() -> None:
+def test_a_reader_with_too_few_fresh_poses_does_not_track() -> None:
     seldom = [size(1.0), *read(1.0, [0.02] * 8, new=0.49), *read(2.0, [0.02] * 8, new=0.5)]
     found = judged(Demand("radio"), *seldom)
     assert [candidate.verdict for candidate in found.values()] == ["fails", "passes"]
@@ -157,10 +152,8 @@ def test_a_record_without_the_error_with_nothing_received_must_be_measured_again
     assert [row[-2] for row in table.rows] == ["inconclusive", "fails"]
     assert table.rows[0][-1].startswith("not measured: ")
     assert table.rows[1][-1] == "error 0.2 m > 0.1 m"
-    assert table.sentences[1] == (
-        "plain q=1.0: the error with nothing received is not known; `codecbench run MATRIX --out . --recompute "
-        "over_radio` measures it again."
-    )
+    for part in ("plain q=1.0: ", IDLE_ERROR, "--recompute over_radio`"):
+        assert part in table.sentences[1]
     assert answers.sentences[0].startswith("Nothing is known")
     assert "1 of 2 settings" in answers.sentences[0]
 
@@ -170,28 +163,28 @@ def test_a_later_deadline_finds_more_in_time() -> None:
     assert judged(Demand("radio", deadline_ms=40), *RUN)["q=4.0"].share == 0.0
 
 
-def test_the_least_bytes_that_pass_are_taken_and_the_limits_of_others_said() -> None:
+def test_the_passing_setting_of_least_rate_is_chosen_and_the_limits_of_others_named() -> None:
     table, answers = choices(run_of(*RUN), ALL)
-    assert table.title == "s: over radio, 90 % of the frames within 100 ms and an error of at most 0.1 m"
+    assert table.title.startswith("s: over radio, ")
+    assert numbers(table.title) == [90.0, 100.0, 0.1]
     assert table.heads == (
-        "setting", "rate [bpp]", "in time", "error [m]", "fresh pose", "runs", "verdict", "because"
+        "setting", "rate [bpp]", "on time", "error [m]", "fresh pose", "runs", "verdict", "because"
     )  # fmt: skip
-    assert table.rows == (
-        ("plain q=1.0", "1", "100 %", "0.3", "80 %", "5/5 and 0/5", "fails", "error 0.3 m > 0.1 m"),
-        ("plain q=2.0", "2", "100 %", "0.05", "80 %", "5/5 and 5/5", "passes", ""),
-        ("plain q=4.0", "4", "90 %", "0.02", "80 %", "5/5 and 5/5", "passes", ""),
-        ("plain q=8.0", "8", "30 %", "0.01", "80 %", "0/5 and 5/5", "fails",
-         "30 % of frames in time of 90 % asked, 60 % gone astray"),
-    )  # fmt: skip
-    assert table.sentences == (RULE,)
-    assert answers.sentences == (
-        "Over radio use plain q=2.0: 2 bpp; passes in 5 of 5 runs (at least 57 % at 95 %): error 0.05 m of 0.1 m asked "
-        "(1 m with nothing received), a pose no older than 0.5 s at 80 % of the moments (50 % needed), 100 % of frames "
-        "in time of 90 % asked.",
-    )
+    assert [row[:-1] for row in table.rows] == [
+        ("plain q=1.0", "1", "100 %", "0.3", "80 %", "5/5 and 0/5", "fails"),
+        ("plain q=2.0", "2", "100 %", "0.05", "80 %", "5/5 and 5/5", "passes"),
+        ("plain q=4.0", "4", "90 %", "0.02", "80 %", "5/5 and 5/5", "passes"),
+        ("plain q=8.0", "8", "30 %", "0.01", "80 %", "0/5 and 5/5", "fails"),
+    ]
+    assert [numbers(row[-1]) for row in table.rows] == [[0.3, 0.1], [], [], [30.0, 90.0, 60.0]]
+    assert table.rows[-1][-1].endswith("60 % gone astray")
+    assert [numbers(rule) for rule in table.sentences] == [[0.5, 50.0, 0.1, 95.0, 50.0]]
+    (sentence,) = answers.sentences
+    assert sentence.startswith("Over radio use plain q=2.0: 2 bpp; ")
+    assert numbers(sentence)[2:] == [5.0, 5.0, 57.0, 95.0, 0.05, 0.1, 1.0, 0.5, 80.0, 50.0, 100.0, 90.0]
 
 
-def test_few_runs_tell_nothing_and_how_many_more_would_is_said() -> None:
+def test_few_runs_are_inconclusive_and_the_missing_number_is_named() -> None:
     cells = [size(1.0), *delivered(1.0, 10, repeats=5), *read(1.0, [0.05, 0.05])]
     table, answers = choices(run_of(*cells), ALL)
     assert table.rows[0][-2] == "inconclusive"
@@ -207,23 +200,21 @@ def test_few_runs_tell_nothing_and_how_many_more_would_is_said() -> None:
     assert numbers(table.rows[0][-1]) == [0.2, 0.1, 1.0, 4.0, 4.0]
 
 
-def test_what_was_not_measured_is_said() -> None:
+def test_what_was_not_measured_is_named() -> None:
     table, _ = choices(run_of(size(1.0), *delivered(1.0, 10), *read(2.0, [0.05] * 5)), ALL)
     assert table.rows[0][-2] == "inconclusive"
     assert table.rows[0][-1].endswith(": the error")
     error, in_time = table.sentences[1:]
-    assert error == (
-        "plain q=1.0: the error is not known; add an evaluator that measures it with the same parameters of the link."
-    )
-    assert in_time.startswith("plain q=2.0: frames in time")
+    assert error.startswith("plain q=1.0: the error was")
+    assert in_time.startswith("plain q=2.0: the share of frames")
 
 
 def test_frames_in_time_decide_alone_where_nothing_reads_them() -> None:
     table, answers = choices(run_of(size(1.0), *delivered(1.0, 10)), Demand("radio", deadline_ms=100))
-    assert table.sentences[0].startswith("Nothing reads the")
+    assert table.sentences[0].startswith("No evaluator reads")
     (sentence,) = answers.sentences
     assert "use plain q=1.0" in sentence
-    assert "nothing reads" in sentence
+    assert "no evaluator reads" in sentence
     assert numbers(sentence) == [1.0, 1.0, 5.0, 5.0, 57.0, 95.0, 100.0, 95.0]
     with pytest.raises(NotMeasured, match=r"no error.*; .*deadline"):
         candidates(run_of(size(1.0), *delivered(1.0, 10)), Demand("radio", error_m=0.1))
@@ -235,7 +226,7 @@ def test_a_reader_that_failed_erred_beyond_all() -> None:
     assert (found.verdict, found.limit) == ("fails", "failed")
 
 
-def test_ways_over_one_link_are_told_apart_and_journeys_that_are_equal_are_not() -> None:
+def test_transports_over_one_link_are_separate_candidates() -> None:
     cells = [size(1.0), *delivered(1.0, 3, transport="datagrams"), *delivered(1.0, 10, transport="arq")]
     cells += read(1.0, [0.05] * 5, transport="arq")
     found = {candidate.way: candidate for candidate in candidates(run_of(*cells), ALL)}
@@ -249,8 +240,6 @@ def test_other_links_do_not_count_and_are_named_where_there_is_nothing() -> None
     assert judged(Demand("radio", deadline_ms=100), *cells)["q=1.0"].share == 1.0
     with pytest.raises(NotMeasured, match=r"'light'.* radio, sound"):
         candidates(run_of(*cells), Demand("light", deadline_ms=100))
-    with pytest.raises(NotMeasured, match="no evaluator of"):
-        candidates(run_of(size(1.0)), Demand("radio", deadline_ms=100))
 
 
 def timed(q: float, encode_ms: float) -> CellResult:
@@ -275,7 +264,7 @@ def test_a_slower_device_makes_pictures_older() -> None:
 def test_what_was_simulated_is_not_added_again() -> None:
     cells = [size(1.0), *delivered(1.0, 10, encode_ms="measured"), timed(1.0, 11.0)]
     assert judged(Demand("radio", deadline_ms=100), *cells)["q=1.0"].share == 1.0
-    with pytest.raises(NotMeasured, match="with encode_ms"):
+    with pytest.raises(NotMeasured, match="encode_ms"):
         judged(Demand("radio", deadline_ms=100, device_factor=4.0), *cells)
 
 
@@ -329,18 +318,18 @@ def test_without_a_demand_the_least_rate_that_passes_is_taken_over_each_link() -
     assert alone.title.startswith("s: over wire")
 
 
-def test_where_nothing_passes_over_a_link_its_row_says_so() -> None:
+def test_a_link_over_which_nothing_passes_has_the_nearest_setting() -> None:
     cells = [*BY_ERROR, *read(1.0, [0.9] * 5, "wire")]
     _, table = link_picks(run_of(*cells), Demand("", error_m=0.5))
-    assert table.rows == (("plain", "q=1.0", "1.00", "0.900", "80 %", "0/5", "fails: the error"),)
+    assert table.rows == (("plain", "q=1.0", "1.00", "0.900", "80 %", "0/5", "fails: error too large"),)
 
 
-def test_where_nothing_was_measured_it_is_said_for_all_links() -> None:
-    with pytest.raises(NotMeasured, match="no evaluator of it has a link"):
+def test_links_over_which_nothing_was_measured_are_refused() -> None:
+    with pytest.raises(NotMeasured, match="has a link"):
         choices(run_of(size(1.0)), Demand("", error_m=0.1))
-    with pytest.raises(NotMeasured, match="no error was measured over radio"):
+    with pytest.raises(NotMeasured, match=r"no error .* radio"):
         choices(run_of(size(1.0), *delivered(1.0, 10)), Demand(""))
-    with pytest.raises(NotMeasured, match="nothing was measured over link 'light'; it has radio"):
+    with pytest.raises(NotMeasured, match=r"'light'.* has radio"):
         choices(run_of(*BY_ERROR), Demand("light"))
 
 
@@ -357,14 +346,17 @@ def coded(codec: str, q: float, kbps: float) -> list[CellResult]:
     return [rate, *(replace(cell, cell=replace(cell.cell, codec=setting)) for cell in reader)]
 
 
-def test_the_answer_says_what_is_spent_beside_the_smallest_jpeg_that_passes() -> None:
+def test_the_answer_compares_the_cost_with_the_smallest_anchor_that_passes() -> None:
     cells = [*coded("fine", 1.0, 600.0), *coded("plain", 2.0, 2000.0), *coded("plain", 3.0, 3000.0)]
     run = run_of(*cells)
-    assert answer(run, candidates(run, Demand("radio", error_m=0.05))) == (
-        "Over radio use fine q=1.0: 0.6 Mbit/s at 25 fps (0.27 GB/h), 70 % less than the smallest plain that passes "
-        "(q=2.0, 2 Mbit/s); passes in 8 of 8 runs (at least 68 % at 95 %): error 0.02 m of 0.05 m asked (1 m with "
-        "nothing received), a pose no older than 0.5 s at 80 % of the moments (50 % needed)."
-    )
+    told = answer(run, candidates(run, Demand("radio", error_m=0.05)))
+    for part in (
+        "radio use fine q=1.0: 0.6 Mbit/s at 25 fps (0.27 GB/h), 70 % less",
+        "smallest plain",
+        "(q=2.0, 2 Mbit/s)",
+    ):
+        assert part in told
+    assert numbers(told)[7:] == [8.0, 8.0, 68.0, 95.0, 0.02, 0.05, 1.0, 0.5, 80.0, 50.0]
     run = run_of(*coded("fine", 1.0, 600.0), coded("plain", 2.0, 2000.0)[0], *read(2.0, [2.0] * 8))
     told = answer(run, candidates(run, Demand("radio")))
     assert "no plain setting" in told
@@ -394,7 +386,7 @@ def test_the_pick_of_each_codec_over_a_link_is_in_one_table() -> None:
     run = run_of(*coded("fine", 1.0, 600.0), coded("plain", 2.0, 2000.0)[0], *read(2.0, [2.0] * 8))
     (table,) = link_picks(run, Demand("radio"))
     assert [row[0] for row in table.rows] == ["fine"]
-    assert [sentence.endswith("of plain.") for sentence in table.sentences] == [True]
+    assert [sentence.endswith(": plain.") for sentence in table.sentences] == [True]
 
 
 def test_the_strip_of_a_codec_over_a_link_has_its_pick_and_why_the_next_coarser_fails() -> None:

@@ -186,12 +186,13 @@ def test_a_damaged_artifact_leaves_its_cell_out_and_damaged_samples_do_not(
     (place(CELLS[1].id) / "frames.parquet").write_bytes(b"b")
     (result,), said = opened(folder, registry, caplog)
     assert result.cell == CELLS[1]
-    assert "drawn.txt is not what was written (digest differs); its cell is left out of the tables" in said
+    for fact in ("drawn.txt", "digest differs", "left out"):
+        assert fact in said
     assert "no samples" not in said
     with caplog.at_level(logging.WARNING, "codecbench.results"):
         assert result.frames().empty
         assert list(result.frames().columns) == ["metric", "frame", "stage", "value", "reason"]
-    assert "no samples of single frames" in caplog.text
+    assert "no samples" in caplog.text
 
 
 def test_samples_that_are_whole_and_no_table_are_none(

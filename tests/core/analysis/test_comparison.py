@@ -108,7 +108,7 @@ def test_few_repeats_and_other_machines_and_frames_are_inconclusive(rng: np.rand
     elsewhere = replace(timed(rng, 2.0, 0.0), machines=("another",))
     assert only(compare(timed(rng, 1.0, 0.0), elsewhere)).note.startswith("another machine")
     other = replace(series("m", (1.0,)), fingerprint="beef")
-    assert "other frames" in only(compare(snapshot(series("m", (1.0,))), snapshot(other))).note
+    assert "different frames" in only(compare(snapshot(series("m", (1.0,))), snapshot(other))).note
 
 
 def test_failures_and_absences_are_verdicts() -> None:

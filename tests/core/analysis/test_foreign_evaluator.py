@@ -107,7 +107,7 @@ def test_it_has_rates_and_limits(place: Path, page: tuple[str, dict[str, Any]]) 
     assert ranking["heads"][:2] == ["codec", "rate vs. jpeg"]
     assert {row[0]: row[1] for row in ranking["rows"]} == {"jpeg": "–", "posterize": beside["posterize"][-1]}
     assert beside["posterize"][-1] == "≤ -30 %"
-    limit = r"quality=\d+ is inconclusive \(1/1 runs; at least 3 more would tell\)"
+    limit = r"quality=\d+ is inconclusive \(1/1 runs; at least 3 more would decide\)"
     assert re.search(
         f"jpeg is not known to pass at any setting: {limit}",
         page[0].split('<section id="answer">')[1].split("</section>")[0],

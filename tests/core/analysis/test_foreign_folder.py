@@ -134,7 +134,7 @@ def test_what_a_plan_from_elsewhere_names_is_opened_only_when_asked(run: Path, p
     elsewhere = {"CODECBENCH_CACHE": str(tmp_path / "cache")}  # another user's, with another key
     done = command(place, "report", run, **elsewhere)
     assert done.returncode == 0
-    assert "no images of pictures: the run was made in " in done.stderr
+    assert "run was made in" in done.stderr
     assert "--sequences-from" in done.stderr
     assert pictures(run) == 0
     command(place, "report", run, "--sequences-from", "same", **elsewhere)
@@ -143,7 +143,7 @@ def test_what_a_plan_from_elsewhere_names_is_opened_only_when_asked(run: Path, p
     command(place, "report", run, "--sequences-from", tmp_path / "mine", **elsewhere)
     assert pictures(run) == 3
     done = command(place, "report", run, "--sequences-from", tmp_path / "cache", **elsewhere)
-    assert "pictures is not in" in done.stderr
+    assert f"pictures is not in {tmp_path / 'cache'}" in done.stderr
     assert pictures(run) == 0
 
 
@@ -215,7 +215,8 @@ def test_no_link_is_followed_out_of_a_run_folder(what: str, run: Path, place: Pa
     for words in (["report", run], ["run", "small.yaml", "--out", run], ["plan", "small.yaml", "--out", run]):
         done = command(place, *words)
         assert done.returncode == 2, done.stdout
-        assert f"{path} is a link to {target}, out of the run folder" in done.stderr
+        assert str(path) in done.stderr
+        assert f"link to {target}," in done.stderr
     assert [(path.name, path.read_text()) for path in outside.iterdir()] == [("thesis.txt", "a year's work")]
 
 
@@ -340,7 +341,7 @@ def test_a_plan_whose_name_is_a_path_is_refused(run: Path, place: Path, tmp_path
 
 
 def test_text_is_cleaned_without_confusing_what_differs() -> None:
-    assert clean_line("two\nlines\tand a bell\a") == "two lines and a bell\\x07"
+    assert clean_line("two\nlines\ta bell\a") == "two lines a bell\\x07"
     assert clean_text("two\nlines\x1b[2J") == "two\nlines\\x1b[2J"
     assert clean_line("\ud800\u202e") == "\\ud800\\u202e"
     long, other = clean_line("a" * 5000 + "b"), clean_line("a" * 5000 + "c")

@@ -104,16 +104,16 @@ GAP = Gap("a", ("q=30", "q=55"))
     [
         (0.3, 0.01, 0.0, {}, "decided", "–"),
         (0.1 * ONE, 0.1 * ONE, 0.0, {}, "equal", "nothing"),
-        (0.5 * ONE, 0.9 * ONE, 0.0, {}, "small", "nothing, as less than 1 % is not worth deciding"),
-        (0.1, 0.01, 0.2, {"gap": GAP}, "settings", "add settings of a between q 30 and 55"),
-        (0.4, 0.3, 0.3, {"gap": GAP}, "settings", "of a between q 30 and 55"),
-        (0.4, 0.1, 0.2, {"gap": GAP}, "samples", "about 220 more frames like these"),
+        (0.5 * ONE, 0.9 * ONE, 0.0, {}, "small", "less than 1 %"),
+        (0.1, 0.01, 0.2, {"gap": GAP}, "settings", "settings of a between q 30 and 55"),
+        (0.4, 0.3, 0.3, {"gap": GAP}, "settings", "between q 30 and 55"),
+        (0.4, 0.1, 0.2, {"gap": GAP}, "samples", "about 220 more frames"),
         (0.1, 0.1, 0.0, {}, "samples", "about 1300 more frames"),
         (0.1, 0.1, 0.0, {"of": ("repeats",)}, "samples", "about 1300 more repeats"),
         (0.1, math.nan, 0.0, {"units": 6}, "samples", "about 2 more frames"),
         (0.1, math.nan, 0.0, {"of": ("sequences",)}, "samples", "more sequences"),
-        (0.02, 0.1, 0.0, {}, "beyond", "by more frames"),
-        (0.02, 0.1, 0.0, {"disputed": True}, "sequences", "more sequences, as these disagree"),
+        (0.02, 0.1, 0.0, {}, "beyond", "hundred times the frames"),
+        (0.02, 0.1, 0.0, {"disputed": True}, "sequences", "because these disagree"),
     ],
 )
 def test_what_would_decide_is_one_thing(
@@ -129,7 +129,7 @@ def test_what_would_decide_is_one_thing(
 
 
 @pytest.mark.parametrize("runs", [4, 5, 10, 30])
-def test_the_success_rate_that_is_told_is_told_as_often_as_is_said(runs: int) -> None:
+def test_the_detectable_rate_is_detected_with_the_power(runs: int) -> None:
     limit = LimitPower((), "s", "jpeg", Standing("q", 1.0, 0, runs), 0.8)
     found = sum(
         binom.pmf(successes, runs, limit.detectable_rate)
@@ -139,7 +139,7 @@ def test_the_success_rate_that_is_told_is_told_as_often_as_is_said(runs: int) ->
     assert found == pytest.approx(0.8, abs=1e-6)
 
 
-def test_three_runs_could_not_tell_anything() -> None:
+def test_three_runs_decide_nothing() -> None:
     limit = LimitPower((), "s", "jpeg", Standing("q", 1.0, 3, 3), 0.8)
     assert math.isnan(limit.detectable_rate)
     assert limit.more_runs == 1
@@ -150,7 +150,7 @@ def test_tables_say_it(rng: np.random.Generator) -> None:
     assert verdict.title.startswith("s: drift, 12 repeats")
     assert "80 %" in verdict.title
     ((codecs, difference, smallest, says, more),) = verdict.rows
-    assert (codecs, says, more) == ("a vs. b", "b is better", "–")
+    assert (codecs, says, more) == ("a vs. b", "b is significantly better", "–")
     assert 80 < float(difference.partition(" % ± ")[0]) < 120, "a takes twice the rate"
     assert 1 < float(smallest.removesuffix(" %")) < 25
     assert verdict.sentences[0].startswith("1 of 1")

@@ -276,13 +276,13 @@ def test_single_settings_at_one_rate_are_compared_directly(rng: np.random.Genera
     assert places(only(run_of(*cells))) == {"mine": (1, 1), "plain": (2, 2)}
 
 
-def test_a_codec_whose_rate_is_not_known_has_no_place(rng: np.random.Generator) -> None:
+def test_a_codec_of_unknown_rate_is_not_ranked(rng: np.random.Generator) -> None:
     cells = starts("plain", falling(1.0, rng)) + starts("mine", falling(0.5, rng)) + starts("free", falling(0.1, rng))
     unknown = [cell for cell in cells if not (cell.cell.codec.name == "free" and cell.cell.evaluator.name == "size")]
     found = only(run_of(*unknown))
     assert set(places(found)) == {"plain", "mine"}
     assert list(found.left_out) == ["free"]
-    assert found.left_out["free"].endswith("known of q=0.25, q=0.5, q=1.0, q=2.0")
+    assert found.left_out["free"].endswith(": q=0.25, q=0.5, q=1.0, q=2.0")
 
 
 def test_sequences_together_come_first_and_tell_more_than_each(rng: np.random.Generator) -> None:

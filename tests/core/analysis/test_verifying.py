@@ -54,7 +54,7 @@ def test_a_sound_bundle_agrees_to_the_bit(place: Path, tmp_path: Path) -> None:
     assert (found.of, found.left_out, found.holds) == (6, 6, True)
     assert all(agreement.values for agreement in found.cells)
     assert (tmp_path / "again" / "plan.json").exists()
-    with pytest.raises(StoreError, match="is there already"):
+    with pytest.raises(StoreError, match="already exists"):
         verify_run(path, out=tmp_path / "again")
 
 
@@ -73,7 +73,7 @@ def test_other_frames_of_the_same_name_are_not_compared(place: Path, tmp_path: P
     path = bundle(place / "run", tmp_path / "b.zip")
     found = verify_run(path, cells=100, workers=1, sequences_from=str(tmp_path))
     assert found.counts == {"to the bit": 3, "not recomputed": 3}
-    assert "other frames here" in next(a.note for a in found.cells if a.verdict == "not recomputed")
+    assert "different frames here" in next(a.note for a in found.cells if a.verdict == "not recomputed")
 
 
 def test_a_value_that_somebody_changed_is_found(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,6 +123,6 @@ def test_what_is_of_another_version_or_not_installed_cannot_be_compared(place: P
         for a in verify_run(folder, cells=100, workers=1, sequences_from="same").cells
         if a.note
     }
-    assert "it is version" in notes["png"]
+    assert "its version is" in notes["png"]
     assert "'jpegg'; did you" in notes["jpegg"]
     assert "'jpeg'?" in notes["jpegg"]

@@ -48,21 +48,18 @@ def test_the_answer_is_the_setting_of_least_rate_that_passes_and_what_it_saves()
     plain = [*tracked("plain", 2.0, [1.0] * 5), *tracked("plain", 1.0, [0.0] * 5)]
     good = [*tracked("good", 1.0, [1.0] * 5), *tracked("good", 0.5, [1.0] * 5), *tracked("good", 0.25, [0.0] * 5)]
     found = answers(run_of(*raw, *plain, *good, *tracked("bad", 0.3, [0.0] * 5)))
-    assert found.basis == (
-        "A setting passes by “held”, s, 5 frames, 5 runs a setting; raw itself: 5/5 runs, at least 57 % at 95 %."
-    )
-    assert sentences(found) == {
-        "good": "good q=0.5 passes at 1/48 of raw's rate, 0.5 bpp (5/5 runs, at least 57 % at 95 %); "
-        "q=0.25 fails (0/5 runs, at most 43 % at 95 %).",
-        "plain": "plain q=2.0 passes at 1/12 of raw's rate, 2 bpp (5/5 runs, at least 57 % at 95 %); "
-        "q=1.0 fails (0/5 runs, at most 43 % at 95 %).",
-        "bad": "bad passes at no setting: q=0.3 fails (0/5 runs, at most 43 % at 95 %).",
+    assert "“held”, s" in found.basis
+    assert numbers(found.basis) == [5.0, 5.0, 5.0, 5.0, 57.0, 95.0]
+    passing, failing = [5.0, 5.0, 57.0, 95.0], [0.0, 5.0, 43.0, 95.0]
+    assert {curve: numbers(sentence) for curve, sentence in sentences(found).items()} == {
+        "good": [0.5, 1.0, 48.0, 0.5, *passing, 0.25, *failing],
+        "plain": [2.0, 1.0, 12.0, 2.0, *passing, 1.0, *failing],
+        "bad": [0.3, *failing],
     }
     assert [answer.passes for answer in found.answers] == [True, True, False]
-    assert str(found) == (
-        "Use good q=0.5: 0.5 bpp, 75 % less than the smallest plain that passes (q=2.0, 2 bpp); "
-        "held in 5 of 5 runs (at least 57 % at 95 %), s, 5 frames."
-    )
+    assert str(found).startswith("Use good q=0.5: 0.5 bpp, 75 % less")
+    assert "smallest plain" in str(found)
+    assert numbers(str(found))[3:] == [2.0, 2.0, *passing, 5.0]
 
 
 NAN = float("nan")
@@ -113,47 +110,48 @@ def test_the_answer_says_on_which_sequences_nothing_can_be_judged() -> None:
 def test_the_anchor_is_compared_with_the_next_codec_and_what_never_failed_has_a_lower_limit() -> None:
     plain = [*tracked("plain", 1.0, [1.0] * 5), *tracked("plain", 0.5, [1.0] * 5)]
     found = answers(run_of(*tracked("raw", 24.0, [1.0] * 5), *plain, *tracked("good", 2.0, [1.0] * 5)))
-    assert str(found) == (
-        "Use plain q=0.5 or coarser: 0.5 bpp, 75 % less than the next codec that passes (good q=2.0); "
-        "held in 5 of 5 runs (at least 57 % at 95 %), s, 5 frames; "
-        "nothing failed, so the limit is lower: try coarser plain."
-    )
+    for part in (
+        "Use plain q=0.5 or coarser: 0.5 bpp, 75 % less",
+        "next codec",
+        "(good q=2.0)",
+        ": try coarser plain.",
+    ):
+        assert part in str(found)
 
 
 def test_codecs_whose_search_was_stopped_are_named() -> None:
     plain, good = tracked("plain", 1.0, [1.0] * 5), tracked("good", 0.5, [0.0] * 5)
     run = run_of(*tracked("raw", 24.0, [1.0] * 5), *plain, *good)
-    search = SearchFinding("s", "good", "passes", "stopped", "", None, 1, "not tried for lack of time: q=1.0")
+    search = SearchFinding("s", "good", "passes", "stopped", "", None, 1, "no time left to try q=1.0")
     stopped = replace(run, plan=replace(run.plan, searches=(search,)))
-    assert "not tried to" not in str(answers(run))
-    assert str(answers(stopped)).endswith("; not tried to the end: good.")
+    assert "unfinished" not in str(answers(run))
+    assert str(answers(stopped)).endswith("unfinished: good.")
     nothing = replace(run_of(*tracked("raw", 24.0, [1.0] * 5), *good), plan=stopped.plan)
-    assert str(answers(nothing)) == (
-        "Nothing is known to pass here, as not all was tried: good: not tried for lack of time: q=1.0."
-    )
+    assert str(answers(nothing)).startswith("Nothing is known to pass")
+    assert str(answers(nothing)).endswith(f": good: {search.words}.")
 
 
-def test_a_single_run_proves_nothing_and_says_how_many_more_would() -> None:
+def test_a_single_run_is_inconclusive_and_the_missing_number_is_named() -> None:
     found = answers(run_of(*tracked("raw", 24.0, [1.0]), *tracked("plain", 0.5, [1.0]), *tracked("plain", 0.25, [0.0])))
     assert found.answers[0].passes is None
-    assert str(found) == (
-        "Nothing is known to pass here: nearest is plain q=0.5 (1/1 runs; at least 3 more would tell)."
-    )
+    assert str(found).startswith("Nothing is known to pass")
+    assert "plain q=0.5 (" in str(found)
+    assert numbers(str(found)) == [0.5, 1.0, 1.0, 3.0]
 
 
 def test_nothing_passes_where_nothing_does() -> None:
     found = answers(run_of(*tracked("raw", 24.0, [1.0] * 5), *tracked("plain", 2.0, [0.0] * 5)))
-    assert str(found) == (
-        "Nothing passes here, because the finest settings tried do not: plain q=2.0 (0/5 runs, at most 43 % at 95 %)."
-    )
+    assert str(found).startswith("Nothing passes")
+    assert "plain q=2.0 (" in str(found)
+    assert numbers(str(found)) == [2.0, 0.0, 5.0, 43.0, 95.0]
 
 
 def test_a_codec_without_runs_that_can_be_judged_has_the_reason() -> None:
     unknown = [*tracked("plain", 0.5, [1.0] * 5)[1:], *tracked("raw", 24.0, [1.0] * 5)]
     found = answers(run_of(*unknown))
     assert found.answers[0].passes is None
-    assert sentences(found)["plain"].endswith("known of q=0.5.")
-    assert str(found).endswith("known of q=0.5.")
+    assert sentences(found)["plain"].endswith("unknown rate: q=0.5.")
+    assert str(found).endswith("unknown rate: q=0.5.")
 
 
 def test_without_a_task_a_setting_passes_by_quality_beside_raw() -> None:
@@ -168,7 +166,7 @@ def test_without_a_task_a_setting_passes_by_quality_beside_raw() -> None:
 def test_without_raw_nothing_passes_or_fails_and_the_ranking_answers() -> None:
     plain, good = scored("plain", {1.0: 36.0, 0.5: 33.0, 0.25: 30.0}), scored("good", {0.5: 36.0, 0.25: 33.0})
     found = answers(run_of(*plain, *good))
-    assert found.basis == "Judged by score, s; add codec raw, beside which a setting passes or fails."
+    assert found.basis.startswith("Judged by score, s; add codec raw")
     assert "take good (q 0.25–0.5)" in str(found)
 
 
@@ -178,10 +176,10 @@ def test_where_times_and_no_task_were_measured_milliseconds_decide() -> None:
         cells += scored(codec, {rate: 40.0})
         timed = {("encoding", ""): [2.0 * ms / 3.0], ("decoding", ""): [ms / 3.0], ("speed", ""): [ms]}
         cells.append(cell_result(codec, rate, "clock", own=timed))
-    assert str(answers(run_of(*cells))) == (
-        "Use quick q=2.0: 1 ms to encode and 0.5 ms to decode a frame, 2 bpp, "
-        "81 % less time than the coarsest plain tried (q=0.5, 8 ms); score: 40 dB, ≥ 32 dB asked, s, 5 frames."
-    )
+    told = str(answers(run_of(*cells)))
+    assert told.startswith("Use quick q=2.0: 1 ms to encode and 0.5 ms to decode")
+    for part in ("2 bpp, 81 % less time", "coarsest plain", "(q=0.5, 8 ms)", "score: 40 dB, ≥ 32 dB"):
+        assert part in told
 
 
 def test_a_delay_without_the_time_of_coding_decides_nothing() -> None:
@@ -197,9 +195,8 @@ def test_without_a_rate_or_anything_to_judge_by_nothing_is_claimed() -> None:
     assert answers(run_of(cell_result("plain", 1.0, "look", own={("score", ""): [30.0]}))).answers == ()
     spent = answers(run_of(cell_result("plain", 1.0, "look", own={("bits", ""): [1.0]})))
     assert spent.answers == ()
-    assert str(spent) == (
-        "Nothing can be named: neither a task nor quality was measured of two codecs, so that they cannot be judged."
-    )
+    assert str(spent).startswith("Nothing can be recommended")
+    assert "nor quality" in str(spent)
 
 
 @pytest.mark.parametrize(
@@ -223,13 +220,15 @@ def judged() -> RunResult:
 def test_a_row_a_codec_in_the_order_of_the_answer() -> None:
     run = judged()
     (table,) = picks(run, answers(run))
-    assert table.title == "The pick of each codec, s, 5 frames, 5 runs a setting"
+    assert table.title.endswith("codec, s, 5 frames, 5 runs per setting")
     assert table.heads == ("codec", "setting", "bpp", "vs. plain", "next coarser")
     assert table.rows == (
         ("good", "q=1.0", "1.00", "-50 %", "q=0.5 inconclusive"),
         ("plain", "q=2.0", "2.00", "–", "q=1.0 fails"),
     )
-    assert table.sentences == ("In all rows: runs 5/5.", "No setting tried passes of bad.")
+    same, without = table.sentences
+    assert "runs 5/5" in same
+    assert without.endswith("passes: bad.")
     assert [row[0] for row in table.rows] == [answer.curve for answer in answers(run).answers[:2]]
 
 
@@ -258,7 +257,7 @@ def test_what_is_the_same_in_all_rows_stands_below() -> None:
     assert numbers(same) == [33.0]
 
 
-def test_of_codecs_that_nothing_judges_every_setting_is_told() -> None:
+def test_without_criteria_every_setting_is_shown() -> None:
     run = run_of(*(cell_result("plain", rate, "size", own={("bits", ""): [rate]}) for rate in (2.0, 0.123456)))
     (table,) = picks(run, answers(run))
     assert table.title.endswith("setting of p")

@@ -83,7 +83,7 @@ def test_failures_of_one_setting_are_told_apart_by_their_repeat() -> None:
 def test_times_of_several_machines_are_not_to_be_compared() -> None:
     one, two = ({"machine": {"cpu": name}} for name in ("an abacus", "an engine"))
     run = report_run(1)
-    assert "this machine alone" in page(replace(run, environments={"a": one, "b": one}))
+    assert "this machine only" in page(replace(run, environments={"a": one, "b": one}))
     html = page(replace(run, environments={"a": one, "b": two}))
     assert "2 machines: do not" in html
-    assert "this machine alone" not in html
+    assert "this machine only" not in html

@@ -108,9 +108,7 @@ def test_the_frames_that_are_asked_for_are_shown(run: RunResult, tmp_path: Path)
     last = run.plan.sequences[0].frames - 1
     html = run.report(tmp_path / "page.html", frames=[last, 0]).read_text()
     assert {int(number) for number in re.findall(r'"frame":(\d+)', html)} == {0, last}
-    with pytest.raises(
-        ParamsError, match=f"frame {last + 1} is in no sequence of the run; they have frames 0 to {last}"
-    ):
+    with pytest.raises(ParamsError, match=f"frame {last + 1}; .* 0 to {last}$"):
         run.report(tmp_path / "page.html", frames=[last + 1])
 
 

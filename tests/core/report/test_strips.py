@@ -129,7 +129,7 @@ def test_a_codec_without_a_pick_says_why_and_nothing_is_saved_beside_an_anchor_w
     unknown = drawn(*RAW, *tracked("plain", {0.5: GOOD})[1:])
     why = unknown.rows[0].after
     assert unknown.rows == (Row("plain", "", "no pick", "", why, ()),)
-    assert why.endswith("known of q=0.5")
+    assert why.endswith("rate: q=0.5")
 
 
 def test_without_an_answer_by_settings_there_are_no_strips() -> None:

@@ -108,16 +108,13 @@ def test_a_number_awaits_nothing(bench: SearchBench) -> None:
 @pytest.mark.parametrize(
     ("evaluators", "words"),
     [
-        ("{use: waiter, params: {pause_ms: measured}}",
-         "evaluators[0].params.pause_ms: 'measured' is the time of encoding, which no evaluator of this matrix "
-         "measures; add lag, or give milliseconds"),
-        ("waiter, {use: lag, params: {runs: {grid: [1, 2]}}}",
-         "several evaluators measure: lag(runs=1), lag(runs=2); keep one of them, or give milliseconds"),
+        ("{use: waiter, params: {pause_ms: measured}}", ("evaluators[0].params.pause_ms: 'measured'", "; add lag")),
+        ("waiter, {use: lag, params: {runs: {grid: [1, 2]}}}", ("lag(runs=1), lag(runs=2); keep one",)),
     ],
 )  # fmt: skip
 def test_what_cannot_be_awaited_is_refused_before_anything_runs(
-    bench: SearchBench, evaluators: str, words: str
+    bench: SearchBench, evaluators: str, words: tuple[str, ...]
 ) -> None:
     with pytest.raises(MatrixError) as refused:
         bench.matrix(matrix(evaluators))
-    assert words in str(refused.value)
+    assert [word for word in words if word not in str(refused.value)] == []

@@ -177,7 +177,7 @@ def test_a_picture_that_never_comes_to_the_encoder_breaks_nothing(tmp_path: Path
     assert all(pictures.image(frame) is not None for frame in found.output_frames)
 
 
-def test_a_codec_that_wrongly_says_that_it_holds_nothing_back_is_named(tmp_path: Path) -> None:
+def test_a_codec_wrongly_declared_low_delay_is_named(tmp_path: Path) -> None:
     class Late(StreamCodec[NoParams]):
         name, version, params_type, capabilities = "late", "1", NoParams, Capabilities()
 
@@ -188,7 +188,7 @@ def test_a_codec_that_wrongly_says_that_it_holds_nothing_back_is_named(tmp_path:
 
     stream = blank(2)
     stream.codec = type("Given", (Late,), {"params_type": SizedParams})(SizedParams())
-    with pytest.raises(PluginError, match=r"^late .* 0 packets .*picture 0"):
+    with pytest.raises(PluginError, match=r"^late .* 0 packets .*frame 0"):
         delivered(tmp_path, stream, Losing())
 
 

@@ -66,7 +66,7 @@ def test_a_link_that_answers_the_impossible_is_a_fault(discipline: str, passage:
 
     simulator = EventSimulator()
     queue = link_queue(simulator, Wrong(), Queue(4, discipline), lambda *_: None, lambda: None)  # type: ignore[arg-type]
-    with pytest.raises(PluginError, match=rf"^Wrong: .* 0(\.0)? s has {re.escape(str(passage))}$"):
+    with pytest.raises(PluginError, match=rf"^Wrong: .* 0(\.0)? s got {re.escape(str(passage))}$"):
         queue.push(Packet(0, 10))
 
 
@@ -78,7 +78,7 @@ def test_a_queue_without_room_is_none() -> None:
 def test_nothing_is_planned_for_the_past() -> None:
     simulator = EventSimulator()
     simulator.at(1.0, lambda: simulator.at(0.5, lambda: None))
-    with pytest.raises(ValueError, match=r" 0\.5 s at 1\.0 s; "):
+    with pytest.raises(ValueError, match=r" 0\.5 s .* 1\.0 s,"):
         simulator.run()
 
 

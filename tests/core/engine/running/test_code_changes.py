@@ -114,7 +114,7 @@ def test_the_report_says_which_code_made_what(place: Place) -> None:
     page = (place.folder / "runs/m/report/report.html").read_text()
     rows = re.findall(r"<td[^>]*>codec posterize</td>.*?</tr>", page)
     assert len(rows) == 2
-    assert all("made the rest" in row for row in rows)
+    assert all("ran other code" in row for row in rows)
     assert len(re.findall(r"<td[^>]*>codec raw</td>.*?</tr>", page)) == 1
 
 
