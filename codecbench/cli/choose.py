@@ -74,8 +74,8 @@ def choose(
     --error.
 
     Settings are in order of rate; use the first that passes. A run over the link succeeds if the task has a fresh pose
-    at half of the moments or more, its error is at most --error and lower than with nothing received, and enough frames
-    meet the deadline. A setting passes if the 95 % confidence interval of its success rate lies above 50 %.
+    at half of the capture times or more, its error is at most --error and lower than with nothing received, and enough
+    frames meet the deadline. A setting passes if the 95 % confidence interval of its success rate lies above 50 %.
     """
     if trial_choosing.is_matrix(source):
         if link is None:

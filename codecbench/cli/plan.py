@@ -73,7 +73,7 @@ def _list_sequences(plan: Plan) -> None:
     for entry in plan.sequences:
         camera = ["camera"] if entry.has_camera else []
         truth = ["ground truth"] if entry.has_ground_truth else []
-        layout = "gray" if entry.channels == 1 else "colour"
+        layout = "gray" if entry.channels == 1 else "color"
         _say(f"  {entry.name}: {', '.join([counted(entry.frames, 'frame'), layout, *camera, *truth])}")
         for note in entry.notes:
             _say(f"    {note}")

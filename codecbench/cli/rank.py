@@ -39,7 +39,7 @@ everything_option = click.option("--all", "everything", is_flag=True, help="Also
 def rank(run: Path, format_: str, everything: bool, rates: tuple[float, ...]) -> None:
     """Recommend a codec of the RUN folder: print the pick of each codec, and the answer.
 
-    With --all, also print which codecs are ahead by each task on each sequence, what is undecided and what would
+    With --all, also print which codecs are ahead by each task on each sequence, what is inconclusive and what would
     decide it, and the lowest rate at which each codec passes. JSON always includes all of it.
     """
     result = collect.open_nonempty_run(run)

@@ -125,7 +125,7 @@ def tracking_limits(measured: list[Measured]) -> Iterator[str]:
             ]
             if rows:
                 yield f"### {run.plan.name}, {escape(columns[0].evaluator.title)}\n"
-                heads = ["sequence", "curve", "holds down to", "bpp", "runs that succeed", "below it", "in the paper"]
+                heads = ["sequence", "curve", "passes down to", "bpp", "successful runs", "below it", "in the paper"]
                 yield foreign_table(heads, rows)
 
 

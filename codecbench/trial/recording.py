@@ -56,13 +56,13 @@ class Recording:
     """Assumptions that the user did not state, and what is wrong and left out."""
 
     def __str__(self) -> str:
-        """`ROS 2 bag, topic /camera/image_raw, 1,204 frames, 640x480, colour, camera_info found, no ground truth`."""
+        """`ROS 2 bag, topic /camera/image_raw, 1,204 frames, 640x480, color, camera_info found, no ground truth`."""
         known = f"camera from {self.camera_from}" if self.camera_from else "camera known"
         return ", ".join((
             self.kind,
             counted(self.frames, "frame"),
             self._size,
-            "gray" if self.channels == 1 else "colour",
+            "gray" if self.channels == 1 else "color",
             known if self.has_camera else "no calibration",
             "ground truth" if self.has_ground_truth else "no ground truth",
         ))  # fmt: skip

@@ -41,7 +41,7 @@ def test_the_matrix_is_planned(drive: Path, capsys: pytest.CaptureFixture[str]) 
     plan.main([str(drive / "drive.yaml")], standalone_mode=False)
     said = capsys.readouterr().out
     (drive_line,) = re.findall(r"^ *drive: (300 .*)$", said, re.MULTILINE)
-    assert drive_line.split(", ") == ["300 frames", "colour", "camera", "ground truth"]
+    assert drive_line.split(", ") == ["300 frames", "color", "camera", "ground truth"]
     assert re.search(r"^    /camera/image_raw: 300 .* 32x24 ", said, re.MULTILINE)
     assert re.search(r"^    ground truth: 1 .* /mocap/pose ", said, re.MULTILINE)
     assert "coding jobs: 3" in said

@@ -54,7 +54,7 @@ def test_each_layout_is_recognized(tmp_path: Path) -> None:
 def test_a_recording_is_described_in_one_line(tmp_path: Path) -> None:
     pictures(tmp_path, ["1.png", "2.png"])
     facts = str(recognize(installed(), tmp_path, {})).split(", ")
-    assert facts[1:] == ["2 frames", "48x32", "colour", "no calibration", "no ground truth"]
+    assert facts[1:] == ["2 frames", "48x32", "color", "no calibration", "no ground truth"]
     found = recognize(installed(), tum(tmp_path / "walk"), {})
     *_, camera, truth = str(found).split(", ")
     assert (camera.split()[-1], truth) == ("calib.yaml", "ground truth")
@@ -195,7 +195,7 @@ def test_bags_are_recognised_and_their_camera_with_them(tmp_path: Path, kind: st
         assert found.has_camera
         assert any("/cam/image_raw" in note for note in found.notes)
     said = str(recognize(installed(), path, {}))
-    assert said.startswith(f"ROS {1 if kind == 'bag' else 2} bag, topic /cam/image_raw, 6 frames, 32x24, colour, ")
+    assert said.startswith(f"ROS {1 if kind == 'bag' else 2} bag, topic /cam/image_raw, 6 frames, 32x24, color, ")
     assert said.endswith("camera from camera_info, no ground truth")
 
 

@@ -178,7 +178,7 @@ def picture_fields(
 ) -> dict[str, Any]:
     """Check the fields of both profiles; a custom table is read next from the bitstream."""
     check_fields(
-        ("colour", color, color < len(COLORS)),
+        ("color", color, color < len(COLORS)),
         ("table", number, number == CUSTOM_TABLE or number < len(TABLES)),
         ("width", width, width >= 1),
         ("height", height, height >= 1),
