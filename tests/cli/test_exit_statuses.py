@@ -1,4 +1,4 @@
-"""What every command's exit status says, asked of the installed command in a process of its own."""
+"""What every command's exit status says, asked of the command in a process of its own."""
 
 from __future__ import annotations
 

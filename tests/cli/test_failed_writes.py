@@ -1,4 +1,4 @@
-"""What cannot be written is a sentence, and nothing half-written stays: the installed command, in a process of its own.
+"""What cannot be written is a sentence, and nothing half-written stays: the command, in a process of its own.
 
 The system refuses as it would on a full or read-only disk: by a limit on the size of files, or by calls that fail.
 """
@@ -61,7 +61,7 @@ def is_refused(done: Done, *said: str) -> None:
     lines = [line for line in done.stderr.strip().splitlines() if not line.startswith("no image of ")]
     assert lines[0].startswith("Error: "), done.output
     assert "Traceback" not in done.output
-    assert "ended its process" not in done.output  # a host answers with an error that it cannot send more
+    assert "process exited" not in done.output  # a host that cannot send its answer sends the error
     for text in said:
         assert text in done.stderr
 

@@ -318,7 +318,7 @@ def test_a_codec_that_is_not_installed_is_skipped(corpus: Path) -> None:
 def test_a_codec_that_ends_its_process_writes_no_corpus(tmp_path: Path, codec_class: str, said: str) -> None:
     done = with_broken(tmp_path, codec_class).call("verify", "broken", "--write-corpus", "corpus")
     assert done.status == 1, done.output
-    assert re.search(rf"FAIL  broken, picture 0 of shape \(1, 1, 1\): .*{said}", done.stdout)
+    assert re.search(rf"FAIL  broken, image 0 of shape \(1, 1, 1\): .*{said}", done.stdout)
     assert not (tmp_path / "corpus" / "manifest.json").exists()
 
 

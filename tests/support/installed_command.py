@@ -1,4 +1,4 @@
-"""The command as it is installed, in a process of its own."""
+"""The command in a process of its own, and the place that it works in."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The command in a process of its own, forked from one that has imported what commands need.
+"""Runs the command in a process of its own, forked from one that has imported what commands need.
 
-To import it takes a command seconds, and its own work mostly a tenth of that. All else is as for the installed command:
-arguments, folder, environment, streams, exit status, and its plugins' processes, which start anew. A test that is about
-the start itself, or about signals meanwhile, starts the installed command.
+Imports take a command seconds, its own work mostly a tenth of that. All else is as for the installed command:
+arguments, folder, environment, streams, exit status, and the processes of its plugins, which start anew. A test of the
+start itself or of signals starts the installed command.
 """
 
 from __future__ import annotations

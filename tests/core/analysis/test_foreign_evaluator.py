@@ -158,7 +158,7 @@ def test_a_run_reads_the_same_where_the_evaluator_is_not_installed(place: Path, 
 def test_without_a_rate_a_limit_is_refused_with_the_reason(place: Path) -> None:
     call(place, "run", "alone.yaml", "--out", "runs/alone", "--quiet")
     html, data = page_of(place, "runs/alone")
-    reason = "no rate was measured; add an evaluator with a headline of role rate"
+    reason = "no rate was measured; add an evaluator with a primary metric of role rate"
     assert html.count(reason) == 3, "in the sentence on each of three codecs"
     assert "rate vs." not in html.split('id="curves"')[0]
     assert data["presets"]

@@ -230,7 +230,7 @@ class Channel:
         try:
             self._send(answer)
         except (TypeError, ValueError, AttributeError, RecursionError, OSError) as error:
-            # An answer of types that cannot be sent, or larger than files may become here, which memory counts as.
+            # Its types cannot be sent, or it is larger than `ulimit -f`, which counts for shared memory too.
             self._send({"number": number, **self._error_message(error)})
 
     def _run_call(self, message: dict[str, Any]) -> Any:
