@@ -159,12 +159,11 @@ def test_a_key_opens_what_was_found_of_the_settings_of_a_strip(chromium: Browser
 def test_on_paper_the_sentences_are_open_and_charts_keep_to_their_column(chromium: Browser, tmp_path: Path) -> None:
     page = opened(chromium, written(tmp_path / "page.html", codecs=2)[1])
     page.call("Emulation.setEmulatedMedia", media="print")
-    page.evaluate("dispatchEvent(new Event('beforeprint'))")
-    assert page.evaluate("[...document.querySelectorAll('details.printed')].every((part) => part.open)")
-    drawn = page.evaluate("document.querySelector('#curve svg').getAttribute('viewBox')")
-    size = page.evaluate(
-        "((svg) => `0 0 ${svg.getAttribute('width')} ${svg.getAttribute('height')}`)($('curve').firstChild)"
+    drawn, size = page.evaluate(  # at once: a chart is drawn anew when its width has changed
+        "(() => { dispatchEvent(new Event('beforeprint')); const svg = $('curve').firstChild;"
+        " return [svg.getAttribute('viewBox'), `0 0 ${svg.getAttribute('width')} ${svg.getAttribute('height')}`]; })()"
     )
+    assert page.evaluate("[...document.querySelectorAll('details.printed')].every((part) => part.open)")
     assert drawn == size
     shown = "document.querySelector({!r}).getClientRects().length > 0"
     assert [page.evaluate(shown.format(part)) for part in (".strips", "#curve", "nav", ".controls", "#look")] == [
@@ -260,7 +259,7 @@ def test_what_is_asked_is_a_line_where_the_curve_is_of_it(chromium: Browser, tmp
     told = "[...document.querySelectorAll('#curve .asked + text')].map((text) => text.textContent)"
     assert page.evaluate(told) == []
     page.evaluate("DATA.asked[$('y').value] = { sequence0: 0.02 }; $('y').dispatchEvent(new Event('change'))")
-    assert page.evaluate(told) == ["≤ 0.02 asked"]
+    assert page.evaluate(told) == ["≤ 0.02 required"]
     assert page.evaluate(PROBE) == []
 
 
