@@ -71,7 +71,7 @@ def test_a_link_that_answers_the_impossible_is_a_fault(discipline: str, passage:
 
 
 def test_a_queue_without_room_is_none() -> None:
-    with pytest.raises(ValueError, match="holds nothing"):
+    with pytest.raises(ValueError, match="no room"):
         Queue(0)
 
 

@@ -96,7 +96,7 @@ def test_an_answer_about_a_setting_that_is_nonsense_costs_that_setting(tmp_path:
     (tmp_path / "m.yaml").write_text(json.dumps(matrix))
     done = counted.place.call("plan", "m.yaml", "--cells", CODECBENCH_CACHE=str(counted.cache))
     assert (done.status, "Traceback" in done.output) == (0, False), done.output
-    assert re.search(r"codec counted of counted 1: .*no spelling", done.output)
+    assert re.search(r"codec counted of counted 1: .*not valid JSON", done.output)
 
 
 def test_neither_a_damaged_answer_nor_a_faulty_distribution_is_remembered(tmp_path: Path) -> None:

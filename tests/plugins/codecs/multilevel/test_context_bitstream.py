@@ -63,7 +63,7 @@ def test_sizes_are_described() -> None:
         (4, "B", 4, "version 4 is not"),
         (5, "B", 0, "profile 0"),
         (6, "B", 8 | 32, "flags"),
-        (7, "B", 9, "colour 9"),
+        (7, "B", 9, "color 9"),
         (7, "B", 1, "channel .*color rgb"),
         (8, "B", 3, "table 3"),
         (9, "B", 0, "chroma steps 0"),

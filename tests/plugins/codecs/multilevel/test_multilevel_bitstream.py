@@ -82,7 +82,7 @@ def test_bad_checksum(stream: bytes) -> None:
         (4, "B", 4, "^version 4 .* [123], [123] and [123]$"),
         (5, "B", 1, "profile 1"),
         (6, "B", 8, "flags 8"),
-        (7, "B", 4, "colour 4"),
+        (7, "B", 4, "color 4"),
         (7, "B", 1, "channel .*color rgb"),
         (8, "B", 3, "table 3"),
         (9, "B", 0, "levels 0"),
