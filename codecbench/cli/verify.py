@@ -203,8 +203,8 @@ class _Report:
 
     def _mark(self, status: str, text: str) -> None:
         self.counts[status] += 1
-        word, colour = _MARKS[status]
-        self._say(f"  {click.style(word, fg=colour)}  {text}")
+        word, color = _MARKS[status]
+        self._say(f"  {click.style(word, fg=color)}  {text}")
 
     def _say(self, text: str, **style: Any) -> None:
         click.secho(text, err=self._to_stderr, **style)

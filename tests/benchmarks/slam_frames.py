@@ -45,7 +45,7 @@ STEPS: dict[str, tuple[tuple[Any, str], ...]] = {
     "mapping: culling": ((Mapper, "_cull_points"), (Mapper, "_cull_keyframes")),
     "mapping: the rest": ((Mapper, "insert"), (Mapper, "refine_neighborhood")),
     "places: words and index": ((PlaceRecognition, "add"), (PlaceRecognition, "remove")),
-    "places: loops, merging, relocalisation": ((TrackedMap, "close_loop"), (Atlas, "merge"), (Atlas, "relocalize")),
+    "places: loops, merging, relocalization": ((TrackedMap, "close_loop"), (Atlas, "merge"), (Atlas, "relocalize")),
     "initialisation": ((Initializer, "add"),),
     "everything else": ((slam.System, "process"),),
 }

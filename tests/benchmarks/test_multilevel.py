@@ -20,14 +20,14 @@ benchmark_plugin = pytest.importorskip("pytest_benchmark")
 
 
 @pytest.fixture(scope="module")
-def colour(data_folder: Path) -> np.ndarray:
+def color(data_folder: Path) -> np.ndarray:
     path = sorted((data_folder / "fr3_png16" / "rgb").glob("*.png"))[0]
     return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
 
 
 @pytest.fixture(scope="module", params=["gray", "rgb"])
-def picture(request: pytest.FixtureRequest, colour: np.ndarray) -> np.ndarray:
-    return gray_from_image(colour) if request.param == "gray" else colour
+def picture(request: pytest.FixtureRequest, color: np.ndarray) -> np.ndarray:
+    return gray_from_image(color) if request.param == "gray" else color
 
 
 @pytest.mark.parametrize("qf", [5, 20, 100])
@@ -50,21 +50,21 @@ def test_slices_on_threads(benchmark, picture: np.ndarray, direction: str, threa
 
 @pytest.mark.parametrize("direction", ["encode", "decode"])
 @pytest.mark.parametrize("decoding", ["header", "search"])
-def test_direction(benchmark, colour: np.ndarray, direction: str, decoding: str) -> None:  # type: ignore[no-untyped-def]
+def test_direction(benchmark, color: np.ndarray, direction: str, decoding: str) -> None:  # type: ignore[no-untyped-def]
     codec = Multilevel.create(decoding=decoding)
-    argument = colour if direction == "encode" else codec.encode(colour)
+    argument = color if direction == "encode" else codec.encode(color)
     benchmark.pedantic(getattr(codec, direction), (argument,), rounds=20, iterations=1, warmup_rounds=2)
 
 
-def test_blocks_from_plane(benchmark, colour: np.ndarray) -> None:  # type: ignore[no-untyped-def]
+def test_blocks_from_plane(benchmark, color: np.ndarray) -> None:  # type: ignore[no-untyped-def]
     steps = steps_from_table(PAPER, 5)
-    plane = gray_from_image(colour)
+    plane = gray_from_image(color)
     blocks = benchmark.pedantic(blocks_from_plane, (plane, steps), rounds=50, iterations=1, warmup_rounds=2)
     assert blocks.shape == (4800, 64)
 
 
-def test_plane_from_blocks(benchmark, colour: np.ndarray) -> None:  # type: ignore[no-untyped-def]
+def test_plane_from_blocks(benchmark, color: np.ndarray) -> None:  # type: ignore[no-untyped-def]
     steps = steps_from_table(PAPER, 5)
-    blocks = blocks_from_plane(gray_from_image(colour), steps)
+    blocks = blocks_from_plane(gray_from_image(color), steps)
     plane = benchmark.pedantic(plane_from_blocks, (blocks, (480, 640), steps), rounds=50, iterations=1, warmup_rounds=2)
     assert plane.shape == (480, 640)

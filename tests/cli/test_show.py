@@ -113,9 +113,9 @@ def test_a_sentence_is_wrapped_if_the_width_is_known(
 
 def test_each_reason_is_shown_once(capsys: pytest.CaptureFixture[str]) -> None:
     crashed = [cell_result("a", rate, "size", status="crashed", reason="signal 11") for rate in (0.5, 1.0)]
-    cannot = cell_result("b", 0.5, "size", status="unsupported", reason="no colour")
+    cannot = cell_result("b", 0.5, "size", status="unsupported", reason="no color")
     show_reasons(run_of(cell_result("a", 2.0, "size", own={("bits", ""): [2.0]}), cannot, *crashed))
-    assert capsys.readouterr().out.splitlines() == ["crashed (2): signal 11", "unsupported (1): no colour"]
+    assert capsys.readouterr().out.splitlines() == ["crashed (2): signal 11", "unsupported (1): no color"]
 
 
 def test_on_a_screen_what_is_judged_by_comes_first_and_the_status_where_one_is_not_ok() -> None:

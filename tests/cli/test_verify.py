@@ -159,7 +159,7 @@ def test_json_says_what_the_lines_say(tmp_path: Path) -> None:
     broken, png, effort = results["settings"]
     assert broken["distribution"] == "broken 1"
     assert [check["status"] for check in broken["checks"]] == ["failed", "failed"]
-    assert {check["layout"] for check in broken["checks"]} == {"gray", "colour"}
+    assert {check["layout"] for check in broken["checks"]} == {"gray", "color"}
     assert "expected shape" in broken["checks"][0]["reason"]
     assert effort["params"] == {"effort": 9}
     assert set(png["libraries"]) == {"opencv", "libpng"}

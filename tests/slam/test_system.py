@@ -142,14 +142,14 @@ def test_runs_are_equal_to_the_last_bit_in_any_process(film: list[NDArray[np.uin
     assert done.stdout.split()[-1] == expected
 
 
-def test_colour_is_rgb_and_seen_as_its_luma(film: list[NDArray[np.uint8]]) -> None:
+def test_color_is_rgb_and_seen_as_its_luma(film: list[NDArray[np.uint8]]) -> None:
     """The film under a light that turns from reddish to bluish: read with blue first, its luma would be another."""
     tint = np.linspace(1.0, 0.3, CAMERA.width)
-    colour = [np.stack([image * tint, image * 0.9, image * tint[::-1]], axis=-1).astype(np.uint8) for image in film]
-    expected = digest(run([gray_from_image(image) for image in colour]))
-    assert len(run(colour).trajectory) >= 30
-    assert digest(run(colour)) == expected
-    assert digest(run([np.ascontiguousarray(image[:, :, ::-1]) for image in colour])) != expected
+    color = [np.stack([image * tint, image * 0.9, image * tint[::-1]], axis=-1).astype(np.uint8) for image in film]
+    expected = digest(run([gray_from_image(image) for image in color]))
+    assert len(run(color).trajectory) >= 30
+    assert digest(run(color)) == expected
+    assert digest(run([np.ascontiguousarray(image[:, :, ::-1]) for image in color])) != expected
 
 
 def test_lens_distortion_is_undone() -> None:

@@ -423,8 +423,8 @@ def _bad_images(codec_class: CodecClass, image: Image) -> Iterator[tuple[str, li
             yield f"{layout} channel(s), not in capabilities", [np.zeros(shape, np.uint8)]
     if codec_class.carries == "pictures" and not codec_class.stateless:
         yield "another size", [image, np.ascontiguousarray(image[:-2])]
-        gray_or_colour = image[..., None].repeat(3, axis=2) if image.ndim == 2 else np.ascontiguousarray(image[..., 0])
-        yield "another layout", [image, gray_or_colour]
+        gray_or_color = image[..., None].repeat(3, axis=2) if image.ndim == 2 else np.ascontiguousarray(image[..., 0])
+        yield "another layout", [image, gray_or_color]
 
 
 def another_process_encodes_alike(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:

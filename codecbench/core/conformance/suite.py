@@ -79,8 +79,8 @@ class CheckResult:
 
     @property
     def layout(self) -> str:
-        """`gray` or `colour`."""
-        return "gray" if self.channels == 1 else "colour"
+        """`gray` or `color`."""
+        return "gray" if self.channels == 1 else "color"
 
     def __str__(self) -> str:
         mark = "FAILED" if self.status == "failed" else self.status

@@ -72,11 +72,11 @@ function withRange(low, high, log, pixels) {
   return { at, low, high, ends: log ? [10 ** low, 10 ** high] : [low, high], log };
 }
 
-/* Colour and shape of what became of frames: a fate has a row of its own too, so that neither colour nor shape is needed. */
-const TONES = { good: { colour: "var(--good)", symbol: "circle" }, fair: { colour: "var(--fair)", symbol: "triangle-up" }, bad: { colour: "var(--bad)", symbol: "x" } };
+/* Color and shape of what became of frames: a fate has a row of its own too, so that neither color nor shape is needed. */
+const TONES = { good: { color: "var(--good)", symbol: "circle" }, fair: { color: "var(--fair)", symbol: "triangle-up" }, bad: { color: "var(--bad)", symbol: "x" } };
 const LANE = 17;
 
-/* traces: {name, x, y, text, colour, symbol, dashes, width, errors: [[low, high]|null], keys}. bands: {name, low, high, value, colour}.
+/* traces: {name, x, y, text, color, symbol, dashes, width, errors: [[low, high]|null], keys}. bands: {name, low, high, value, color}.
    options: x and y {label, log}, equal, height, front: [[x, y]], pick(key), chosen, ringed: keys, asked: {value, text}, label, lanes: {from, to, of: [{name, tone, share, levels}]}.
    Gives {cursor(x, y)}. */
 function chart(host, traces, bands, options) {
@@ -116,8 +116,8 @@ function chart(host, traces, bands, options) {
   }
   for (const band of bands) {
     const [from, to] = [y.at(band.high), y.at(band.low)];
-    shape("rect", { x: left, width: right - left, y: from, height: Math.max(0, to - from), fill: band.colour, opacity: 0.18 }, svg);
-    shape("line", { x1: left, x2: right, y1: y.at(band.value), y2: y.at(band.value), stroke: band.colour, "stroke-width": 1.5, "stroke-dasharray": "6 4", class: "band" }, svg);
+    shape("rect", { x: left, width: right - left, y: from, height: Math.max(0, to - from), fill: band.color, opacity: 0.18 }, svg);
+    shape("line", { x1: left, x2: right, y1: y.at(band.value), y2: y.at(band.value), stroke: band.color, "stroke-width": 1.5, "stroke-dasharray": "6 4", class: "band" }, svg);
   }
   if (options.asked) {
     const at = y.at(options.asked.value);
@@ -137,9 +137,9 @@ const percent = (share) => share > 0 && share < 0.005 ? "<1 %" : share < 1 && sh
 const laneText = (lane) => `${lane.name} ${percent(lane.share)}`;
 /* A row of bars, as high as the share of the frames there: one a frame, or one for several where there are many. */
 function drawLane(svg, lane, { from, to }, x, left, base) {
-  const { colour, symbol } = TONES[lane.tone], parts = lane.levels, each = (to + 1 - from) / parts.length;
+  const { color, symbol } = TONES[lane.tone], parts = lane.levels, each = (to + 1 - from) / parts.length;
   const group = shape("g", { class: "lane" }, svg);
-  shape("path", { d: MARKERS[symbol], fill: colour, transform: `translate(${left - 12} ${base - 6})` }, group);
+  shape("path", { d: MARKERS[symbol], fill: color, transform: `translate(${left - 12} ${base - 6})` }, group);
   shape("text", { x: left - 21, y: base - 2, "text-anchor": "end", class: "tick" }, group).textContent = laneText(lane);
   let path = "";
   for (let i = 0, end; i < parts.length; i = end) {
@@ -147,7 +147,7 @@ function drawLane(svg, lane, { from, to }, x, left, base) {
     const [x0, x1] = [i, end].map((at) => x.at(from - 0.5 + at * each)), high = 13 * Number(parts[i]) / 9;
     if (high) path += `M${x0.toFixed(1)},${base}v${-high.toFixed(1)}h${Math.max(1, x1 - x0).toFixed(1)}v${high.toFixed(1)}z`;
   }
-  shape("path", { d: path, fill: colour }, group);
+  shape("path", { d: path, fill: color }, group);
 }
 function equal(x, y, across, up, xPixels, yPixels) {
   const unit = Math.max((x.high - x.low) / across, (y.high - y.low) / up);
@@ -169,12 +169,12 @@ function drawTrace(svg, trace, x, y, options, host) {
   let path = "";
   trace.x.forEach((value, i) => { if (known[i]) path += `${i && known[i - 1] ? "L" : "M"}${x.at(value).toFixed(1)},${y.at(trace.y[i]).toFixed(1)}`; });
   if (trace.line !== false) {
-    shape("path", { d: path, fill: "none", stroke: trace.colour, "stroke-width": trace.width || 1.8, "stroke-dasharray": trace.dashes || undefined, class: "line" }, svg);
+    shape("path", { d: path, fill: "none", stroke: trace.color, "stroke-width": trace.width || 1.8, "stroke-dasharray": trace.dashes || undefined, class: "line" }, svg);
   }
   (trace.errors || []).forEach((ends, i) => {
     if (!ends || !known[i] || !ends.every(Number.isFinite)) return;
     const at = x.at(trace.x[i]), [low, high] = ends.map((end) => y.at(y.log ? Math.max(end, y.ends[0]) : end));
-    shape("path", { d: `M${at},${low}V${high}M${at - 3},${low}H${at + 3}M${at - 3},${high}H${at + 3}`, stroke: trace.colour, class: "error" }, svg);
+    shape("path", { d: `M${at},${low}V${high}M${at - 3},${low}H${at + 3}M${at - 3},${high}H${at + 3}`, stroke: trace.color, class: "error" }, svg);
   });
   if (!trace.symbol) return;
   trace.x.forEach((value, i) => {
@@ -183,7 +183,7 @@ function drawTrace(svg, trace, x, y, options, host) {
     const group = shape("g", { transform: `translate(${x.at(value).toFixed(1)} ${y.at(trace.y[i]).toFixed(1)})`, class: key && key === options.chosen ? "point chosen" : "point" }, svg);
     shape("circle", { r: 11, fill: "transparent", class: "hit" }, group);
     if (options.ringed && options.ringed.includes(key)) shape("circle", { r: 8, class: "ring" }, group);
-    shape("path", { d: MARKERS[trace.symbol] || MARKERS.circle, fill: trace.colour }, group);
+    shape("path", { d: MARKERS[trace.symbol] || MARKERS.circle, fill: trace.color }, group);
     if (trace.text) tip(group, host, trace.text[i]);
     if (!key || !options.pick) return;
     group.dataset.key = key;

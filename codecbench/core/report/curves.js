@@ -64,12 +64,12 @@ function curves() {
     const traces = names.map((curve) => {
       const own = pointed.filter((row) => row.curve === curve).sort((a, b) => a.place - b.place || measured(a, x) - measured(b, x));
       const style = DATA.styles[curve];
-      return { name: curve, x: own.map((row) => measured(row, x)), y: own.map((row) => measured(row, y)), colour: style.colour, symbol: style.symbol,
+      return { name: curve, x: own.map((row) => measured(row, x)), y: own.map((row) => measured(row, y)), color: style.color, symbol: style.symbol,
         dashes: style.dashes.join(" "), text: own.map((row) => words(row, x, y)), errors: errorsOf(own, y), keys: own.map(keyOf) };
     }).filter((trace) => trace.x.length);
     const bands = level.filter((row) => !off.has(row.curve)).map((row) => {
       const value = measured(row, y), ends = (errorsOf([row], y) || [])[0] || [value, value];
-      return { low: ends[0], high: ends[1], value, colour: DATA.styles[row.curve].colour };
+      return { low: ends[0], high: ends[1], value, color: DATA.styles[row.curve].color };
     });
     const asked = DATA.asked[y]?.[sequence], bound = asked === undefined ? NaN : asked * columnOf(y).factor;
     const ringed = pointed.filter((row) => DATA.picks.some((pick) => pick.passes && pick.codec === row.codec && pick.setting === row.setting)).map(keyOf);
@@ -93,7 +93,7 @@ function curves() {
       const button = element("button", "toggle", isLevel ? `${curve} (level)` : curve);
       button.type = "button"; button.dataset.toggle = curve;
       button.setAttribute("aria-pressed", String(!off.has(curve)));
-      button.prepend(swatch(isLevel ? { colour: DATA.styles[curve].colour, dashes: [6, 4] } : DATA.styles[curve]));
+      button.prepend(swatch(isLevel ? { color: DATA.styles[curve].color, dashes: [6, 4] } : DATA.styles[curve]));
       button.addEventListener("click", () => { if (!off.delete(curve)) off.add(curve); plot(); });
       return button;
     }));

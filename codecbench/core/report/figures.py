@@ -111,12 +111,12 @@ def curve_figure(run: RunResult, entry: SequenceEntry, view: CurveView) -> Figur
         style = styles[curve]
         if curve in baselines and len(points) == 1 and not baselines.issuperset(lines):
             _, _, value, down, up = points[0]
-            axes.axhspan(value - down, value + up, color=style.colour, alpha=0.15, linewidth=0)
-            handles.append(axes.axhline(value, color=style.colour, linestyle=style.linestyle, linewidth=1.2))
+            axes.axhspan(value - down, value + up, color=style.color, alpha=0.15, linewidth=0)
+            handles.append(axes.axhline(value, color=style.color, linestyle=style.linestyle, linewidth=1.2))
             continue
         _, across, values, *bars = zip(*points, strict=True)
         drawn = axes.errorbar(
-            across, values, bars, label=curve, color=style.colour, marker=style.marker,
+            across, values, bars, label=curve, color=style.color, marker=style.marker,
             linestyle=style.linestyle, markersize=4, linewidth=1.2, elinewidth=0.6, capsize=2,
         )  # fmt: skip
         handles.append(drawn.lines[0])
@@ -184,7 +184,7 @@ def _multiples(title: str, members: list[CellDrawing]) -> Figure:
 def _draw(axes: Any, name: str, drawing: Drawing) -> None:
     for line in drawing.lines:
         style = STROKES[line.stroke]
-        axes.plot(*line.points.T, label=line.name, color=style.colour, linestyle=style.dash, linewidth=style.width)
+        axes.plot(*line.points.T, label=line.name, color=style.color, linestyle=style.dash, linewidth=style.width)
     axes.set_xlabel(drawing.labels[0], fontsize=6)
     axes.set_ylabel(drawing.labels[1], fontsize=6)
     if not drawing.axes:
@@ -249,9 +249,9 @@ def _stack(axes: Any, settings: list[str], stages: dict[str, dict[str, float]], 
 
 def _fill(at: int) -> dict[str, Any]:
     """Color and pattern of a stage; patterns distinguish those of equal color."""
-    turns, colour = divmod(at, len(PALETTE))
+    turns, color = divmod(at, len(PALETTE))
     return {
-        "facecolor": PALETTE[colour],
+        "facecolor": PALETTE[color],
         "hatch": _HATCHES[turns % len(_HATCHES)],
         "edgecolor": "white",
         "linewidth": 0,

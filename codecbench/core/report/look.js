@@ -94,10 +94,10 @@ function pathViewer(tell) {
     if (timeline.x) drawMap(drawing, view, timeline, lost);
     const errors = timeline.errors.map((value) => value ?? NaN), most = Math.max(...errors.filter(Number.isFinite), 0);
     const known = errors.some(Number.isFinite), told = timeline.rows.map(laneText).join(", ");
-    const missing = { name: "lost", x: timeline.frames.map((frame, i) => lost[i] ? frame : NaN), y: errors.map(() => 0), colour: "var(--bad)", width: 6 };
+    const missing = { name: "lost", x: timeline.frames.map((frame, i) => lost[i] ? frame : NaN), y: errors.map(() => 0), color: "var(--bad)", width: 6 };
     $("path-error").hidden = !known && !lost.some(Boolean) && !told;
-    error = chart($("path-error"), [{ name: timeline.quantity, x: timeline.frames, y: errors, colour: "var(--accent)" }, ...(told ? [] : [missing])],
-      known || !told ? [{ low: 0, high: 0, value: 0, colour: "var(--line)" }] : [], {
+    error = chart($("path-error"), [{ name: timeline.quantity, x: timeline.frames, y: errors, color: "var(--accent)" }, ...(told ? [] : [missing])],
+      known || !told ? [{ low: 0, high: 0, value: 0, color: "var(--line)" }] : [], {
         height: 190 + LANE * timeline.rows.length, x: { label: "frame" }, y: { label: `${timeline.quantity} [${timeline.unit}]` },
         lanes: { from: timeline.frames[0], to: timeline.last, of: timeline.rows },
         label: `Timeline. ${known ? `${timeline.quantity}: at most ${shown(most)} ${timeline.unit}` : `No known ${timeline.quantity}`}. ${told ? `Frames: ${told}` : "Frames without a pose are marked"}.`,
@@ -108,11 +108,11 @@ function pathViewer(tell) {
   const drawMap = (drawing, view, timeline, lost) => {
     const lines = drawing.lines.map((line) => {
       const style = DATA.strokes[line.stroke], [x, y] = view.paths[line.path];
-      return { name: line.name, x, y, colour: style.colour, dashes: style.dashes, width: style.width };
+      return { name: line.name, x, y, color: style.color, dashes: style.dashes, width: style.width };
     });
     /* A loss is marked where the camera was last known to be. */
     const before = timeline.frames.map((_, i) => i).filter((i) => !lost[i] && lost[i + 1]);
-    const losses = { name: "lost", x: before.map((i) => timeline.x[i]), y: before.map((i) => timeline.y[i]), colour: "var(--bad)", symbol: "x", line: false,
+    const losses = { name: "lost", x: before.map((i) => timeline.x[i]), y: before.map((i) => timeline.y[i]), color: "var(--bad)", symbol: "x", line: false,
       text: before.map((i) => `lost after frame ${timeline.frames[i]}`) };
     map = chart($("path-map"), [...lines, losses], [], { height: 300, equal: true, x: { label: drawing.axes[0] }, y: { label: drawing.axes[1] }, label: `Path: ${drawing.caption}` });
   };
@@ -178,7 +178,7 @@ function multiples(view, id) {
       const [across, up] = drawing.axes;
       chart(host, drawing.lines.map((line) => {
         const style = DATA.strokes[line.stroke], [x, y] = view.paths[line.path];
-        return { name: line.name, x, y, colour: style.colour, dashes: style.dashes, width: style.width };
+        return { name: line.name, x, y, color: style.color, dashes: style.dashes, width: style.width };
       }), [], { height: 190, equal: drawing.is_plane, x: { label: across }, y: { label: up }, label: `${named(drawing)}: ${drawing.caption}` });
     }
   };

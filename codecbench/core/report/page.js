@@ -42,8 +42,8 @@ function element(name, className, text) {
 }
 function swatch(style) {
   const svg = shape("svg", { width: 30, height: 12, viewBox: "0 0 30 12", "aria-hidden": "true" });
-  shape("line", { x1: 0, x2: 30, y1: 6, y2: 6, stroke: style.colour, "stroke-width": 2, "stroke-dasharray": (style.dashes || []).join(" ") || undefined }, svg);
-  if (style.symbol) shape("path", { d: MARKERS[style.symbol], fill: style.colour, transform: "translate(15 6)" }, svg);
+  shape("line", { x1: 0, x2: 30, y1: 6, y2: 6, stroke: style.color, "stroke-width": 2, "stroke-dasharray": (style.dashes || []).join(" ") || undefined }, svg);
+  if (style.symbol) shape("path", { d: MARKERS[style.symbol], fill: style.color, transform: "translate(15 6)" }, svg);
   return svg;
 }
 for (const place of document.querySelectorAll("[data-curve]")) {

@@ -9,8 +9,8 @@ function bars(view, id) {
   }
   const stages = [...new Set(view.parts.map((bar) => bar.stage))];
   const paint = (i) => {
-    const colour = DATA.palette[i % DATA.palette.length], turn = Math.floor(i / DATA.palette.length) % 3;
-    return turn ? `repeating-linear-gradient(${turn === 1 ? 45 : 90}deg, ${colour} 0 4px, #fff8 4px 6px)` : colour;
+    const color = DATA.palette[i % DATA.palette.length], turn = Math.floor(i / DATA.palette.length) % 3;
+    return turn ? `repeating-linear-gradient(${turn === 1 ? 45 : 90}deg, ${color} 0 4px, #fff8 4px 6px)` : color;
   };
   const plot = () => {
     const chosen = view.parts.filter((bar) => parts.every((name) => bar[name] === part(name).value));

@@ -225,7 +225,7 @@ _DASHES: Final[tuple[tuple[float, ...], ...]] = ((), (5.0, 2.0), (1.5, 1.5), (6.
 class CurveStyle:
     """The style of a curve."""
 
-    colour: str
+    color: str
     marker: str
     """Name of the marker in matplotlib."""
     symbol: str
@@ -243,7 +243,7 @@ class CurveStyle:
 class LineStyle:
     """The style of a drawing's line."""
 
-    colour: str
+    color: str
     dash: str
     """The dash in matplotlib."""
     dashes: str
@@ -273,10 +273,10 @@ def curve_styles(curves: Iterable[str], baselines: Iterable[str]) -> dict[str, C
         if codec in neutral:
             styles[curve] = CurveStyle(NEUTRAL, *_MARKERS[0])
             continue
-        colour = seed_from(codec, _SEED) % len(PALETTE)
-        marker, symbol = _MARKERS[(colour + used[colour]) % len(_MARKERS)]
-        styles[curve] = CurveStyle(PALETTE[colour], marker, symbol, _DASHES[used[colour] % len(_DASHES)])
-        used[colour] += 1
+        color = seed_from(codec, _SEED) % len(PALETTE)
+        marker, symbol = _MARKERS[(color + used[color]) % len(_MARKERS)]
+        styles[curve] = CurveStyle(PALETTE[color], marker, symbol, _DASHES[used[color] % len(_DASHES)])
+        used[color] += 1
     return styles
 
 

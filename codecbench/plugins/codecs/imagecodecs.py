@@ -65,7 +65,7 @@ class _EnvelopedCodec(Codec[P]):
     function: ClassVar[str]
     decoder: ClassVar[str] = ""
     """Function that decodes, if it is not of the library that encodes."""
-    colour_only: ClassVar[bool] = False
+    color_only: ClassVar[bool] = False
     max_side: ClassVar[int] = 65535
     decoding: ClassVar[dict[str, Any]] = {}
     """Keyword arguments of the decoding function."""
@@ -84,7 +84,7 @@ class _EnvelopedCodec(Codec[P]):
         layout = "gray" if scene.channels == 1 else "rgb"
         values = {name: int(value) if isinstance(value, int) else value for name, value in self._arguments().items()}
         arguments = "".join(f", {name}={value}" for name, value in values.items())
-        stored = "gray[:, :, None].repeat(3, axis=2)" if self.colour_only and layout == "gray" else layout
+        stored = "gray[:, :, None].repeat(3, axis=2)" if self.color_only and layout == "gray" else layout
         text = f"import imagecodecs\n\n\ndef encode({layout}):\n"
         text += f"    return bytes(imagecodecs.{self.function}_encode({stored}{arguments}))"
         python = Recipe(
@@ -106,7 +106,7 @@ class _EnvelopedCodec(Codec[P]):
         channels = channel_count(image)
         if max(height, width) > self.max_side or height * width > MAX_PIXELS:
             raise ImageError(f"{self.name}: {width}x{height} exceeds {self.max_side} a side or {MAX_PIXELS} pixels")
-        if channels == 1 and self.colour_only:
+        if channels == 1 and self.color_only:
             image = np.repeat(image[:, :, None], 3, axis=2)
         image = image.copy()  # libwebp's binding wants it writable, with the strides of its shape
         content = bytes(getattr(self._library, f"{self.function}_encode")(image, **self._arguments()))
@@ -116,7 +116,7 @@ class _EnvelopedCodec(Codec[P]):
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         shape = self._read_shape(bitstream)
         self._check_declared_size(bitstream[_CONTENT_START:], shape)
-        stored = (*shape[:2], 3) if self.colour_only else shape
+        stored = (*shape[:2], 3) if self.color_only else shape
         pixels: Image = np.empty(stored, np.uint8)
         try:
             decode = getattr(self._library, f"{self._functions[-1]}_decode")
@@ -255,7 +255,7 @@ class Webp(_EnvelopedCodec[WebpParams]):
     name = "webp"
     params_type = WebpParams
     examples = ({}, {"lossless": True})
-    magic, function, colour_only, max_side = b"ICwp", "webp", True, 16383
+    magic, function, color_only, max_side = b"ICwp", "webp", True, 16383
 
     def is_lossless(self) -> bool:
         return self.params.lossless
@@ -294,7 +294,7 @@ class Avif(_EnvelopedCodec[AvifParams]):
     version = _qualified_version("1", "avif", "libavif 1.4.0")
     params_type = AvifParams
     examples = ({}, {"subsampling": "444", "quality": 90})
-    magic, function, colour_only, decoding = b"ICav", "avif", True, {"numthreads": 1}
+    magic, function, color_only, decoding = b"ICav", "avif", True, {"numthreads": 1}
 
     def _check_declared_size(self, content: bytes, shape: tuple[int, ...]) -> None:
         """Check the property `ispe` (ISO/IEC 23008-12, 6.5.3), for whose size libavif allocates up to 2^28 pixels."""

@@ -15,7 +15,7 @@ MAX_JP2_PIXELS = MAX_PIXELS // 4
 _BOXES = (b"jP  ", b"ftyp", b"jp2h", b"jp2c")
 _SIGNATURE = b"\r\n\x87\n"
 _FILE_TYPE = b"jp2 \0\0\0\0jp2 "
-_COLOUR_SPACES = {1: b"\1\0\0\0\0\0\x11", 3: b"\1\0\0\0\0\0\x10"}
+_COLOR_SPACES = {1: b"\1\0\0\0\0\0\x11", 3: b"\1\0\0\0\0\0\x10"}
 """Enumerated color spaces (T.800 I.5.3.3): 17 grayscale, 16 sRGB."""
 SOC, SIZ, COD, PLT, QCD, COM, SOT, SOD, EOC = 0xFF4F, 0xFF51, 0xFF52, 0xFF58, 0xFF5C, 0xFF64, 0xFF90, 0xFF93, 0xFFD9
 _SIZ = struct.Struct(">HIIIIIIIIH")
@@ -131,7 +131,7 @@ def _read_structure(bitstream: bytes) -> tuple[int, ...]:
         raise BitstreamError(f"jpeg2000: {channels} components, depth field {depth}; 1 or 3 of 8 bits are read")
     if not 0 < height * width <= MAX_JP2_PIXELS:
         raise BitstreamError(f"jpeg2000: {width}x{height} is not within 1..{MAX_JP2_PIXELS} pixels")
-    if bitstream[inner[1][1] : inner[1][2]] != _COLOUR_SPACES[channels]:
+    if bitstream[inner[1][1] : inner[1][2]] != _COLOR_SPACES[channels]:
         raise BitstreamError(f"jpeg2000: the color box does not fit {channels} component(s)")
     _check_codestream(bitstream, boxes[3][1], width, height, channels)
     return (height, width) if channels == 1 else (height, width, channels)
@@ -200,9 +200,9 @@ def _check_size(content: bytes, width: int, height: int, channels: int) -> None:
 def _check_coding_style(content: bytes, channels: int) -> None:
     if len(content) != _COD.size:
         raise BitstreamError(f"jpeg2000: COD has {len(content)} bytes, not {_COD.size}")
-    style, progression, layers, colour_transform, levels, *blocks, wavelet = _COD.unpack(content)
+    style, progression, layers, color_transform, levels, *blocks, wavelet = _COD.unpack(content)
     is_style = (style, progression) == (0, 0) and 1 <= layers <= MAX_LAYERS
-    if not is_style or tuple(blocks) not in _BLOCKS or colour_transform != (channels == 3):
+    if not is_style or tuple(blocks) not in _BLOCKS or color_transform != (channels == 3):
         raise BitstreamError(f"jpeg2000: coding style {tuple(content)} is not one that codecbench writes")
     if levels > _MAX_DECOMPOSITIONS or wavelet > 1:
         raise BitstreamError(

@@ -118,9 +118,9 @@ def _read_chunk(bitstream: bytes, position: int) -> tuple[bytes, memoryview, int
 def _shape_from_header(content: memoryview) -> tuple[int, ...]:
     if len(content) != _HEADER.size:
         raise BitstreamError(f"png: IHDR has {len(content)} bytes, not {_HEADER.size}")
-    width, height, depth, colour, compression, filtering, interlace = _HEADER.unpack(content)
-    if depth != 8 or colour not in (_GRAY, _RGB) or compression or filtering or interlace:
-        raise BitstreamError(f"png: depth {depth}, color type {colour}, interlace {interlace}; 8, 0 or 2, 0 are read")
+    width, height, depth, color, compression, filtering, interlace = _HEADER.unpack(content)
+    if depth != 8 or color not in (_GRAY, _RGB) or compression or filtering or interlace:
+        raise BitstreamError(f"png: depth {depth}, color type {color}, interlace {interlace}; 8, 0 or 2, 0 are read")
     if not 0 < width * height <= MAX_PIXELS:
         raise BitstreamError(f"png: {width}x{height} is not within 1..{MAX_PIXELS} pixels")
-    return (height, width) if colour == _GRAY else (height, width, 3)
+    return (height, width) if color == _GRAY else (height, width, 3)

@@ -159,6 +159,6 @@ class _BagOfWords:
         self.words = len(self._vocabulary)
 
     def of(self, image: Image) -> BowVector:
-        """The bag of an image, colour or gray."""
+        """The bag of an image, color or gray."""
         descriptors = self._extractor.extract(np.ascontiguousarray(gray_from_image(image))).descriptors
         return self._vocabulary.bow(self._vocabulary.words(descriptors).words)

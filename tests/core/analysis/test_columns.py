@@ -117,15 +117,15 @@ def test_the_short_table_is_in_units_and_words_for_people() -> None:
 
 def test_every_table_in_a_file_says_what_is_noted_of_a_setting(tmp_path: Path) -> None:
     """In the terminal and on pages it stands below; a file is read without what stood around it."""
-    run = run_of(replace(ONE, notes=("half the colour",)), result("b", {}, size=3.0))
+    run = run_of(replace(ONE, notes=("half the color",)), result("b", {}, size=3.0))
     assert list(select_columns(run.wide, "*size*").columns)[3:] == ["test(n=2).size.mean", "test.size.mean", "notes"]
     tables = [replace(run, results=run.results[1:]).wide, run.wide]
     for form in ("csv", "json", "markdown", "latex"):
-        assert [export_table(table, form).count(b"half the colour") for table in tables] == [0, 1]
+        assert [export_table(table, form).count(b"half the color") for table in tables] == [0, 1]
     for form in ("markdown", "latex"):
         write_report(run, tmp_path / form, form)
-        assert (tmp_path / form).read_text().count("half the colour") == 1
-    assert run._repr_html_().count("half the colour") == 1
+        assert (tmp_path / form).read_text().count("half the color") == 1
+    assert run._repr_html_().count("half the color") == 1
 
 
 def test_two_columns_under_one_head_are_both_shown() -> None:

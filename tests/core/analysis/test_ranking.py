@@ -310,9 +310,9 @@ def test_a_codec_that_is_not_on_every_sequence_is_named(rng: np.random.Generator
             "mine", falling(1, rng), sequence=sequence
         )
     cells += starts("gray", falling(0.5, rng), sequence="one")
-    cells.append(cell_result("gray", 1.0, "track", sequence_name="two", status="unsupported", reason="colour only"))
+    cells.append(cell_result("gray", 1.0, "track", sequence_name="two", status="unsupported", reason="color only"))
     together = rankings(run_of(*cells), brief=True)[0]
-    assert together.left_out == {"gray": "unsupported: colour only"}
+    assert together.left_out == {"gray": "unsupported: color only"}
 
 
 def test_what_has_not_been_run_yet_is_not_held_against_anybody(rng: np.random.Generator) -> None:

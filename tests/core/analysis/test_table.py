@@ -91,7 +91,7 @@ def psnr(row: pd.Series[float], how: str) -> float:
 
 def test_what_is_noted_of_a_setting_is_the_last_column_of_both_tables() -> None:
     """Of a setting, not of a cell: an evaluator that noted nothing measured the same setting."""
-    note = "half the colour"
+    note = "half the color"
     noted = [replace(result(psnr=(30.0,)), notes=(note, "waits")), result(repeat=1, psnr=(31.0, 32.0))]
     cells = [*noted, result(codec="raw", label="", psnr=(math.inf,)), result(codec="slow", status="crashed")]
     tables = tidy(cells), wide(cells)
@@ -101,7 +101,7 @@ def test_what_is_noted_of_a_setting_is_the_last_column_of_both_tables() -> None:
 
 
 def test_where_nothing_is_noted_there_is_no_column_of_notes() -> None:
-    plain, noted = [result(psnr=(30.0,))], [replace(result(psnr=(30.0,)), notes=("half the colour",))]
+    plain, noted = [result(psnr=(30.0,))], [replace(result(psnr=(30.0,)), notes=("half the color",))]
     for table in (tidy, wide):
         assert "notes" not in table(plain)
         pd.testing.assert_frame_equal(table(noted).drop(columns="notes"), table(plain))

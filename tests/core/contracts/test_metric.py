@@ -156,16 +156,16 @@ def test_what_a_later_version_stored_and_this_one_cannot_read_falls_back() -> No
 def test_curves_are_told_apart_and_baselines_are_neutral() -> None:
     names = ["raw", *(f"codec{number} level=1" for number in range(20))]
     styles = curve_styles(names, {"raw"})
-    assert len({(style.colour, style.marker) for style in styles.values()}) == 21
-    assert len({(style.colour, style.symbol) for style in styles.values()}) == 21
-    assert styles["raw"].colour not in {styles[name].colour for name in names[1:]}
+    assert len({(style.color, style.marker) for style in styles.values()}) == 21
+    assert len({(style.color, style.symbol) for style in styles.values()}) == 21
+    assert styles["raw"].color not in {styles[name].color for name in names[1:]}
 
 
-def test_curves_of_a_codec_share_its_colour_and_24_are_told_apart() -> None:
+def test_curves_of_a_codec_share_its_color_and_24_are_told_apart() -> None:
     names = [f"codec{number} level={level}" for number in range(12) for level in (1, 2)]
     styles = curve_styles(names, set())
-    assert len({(style.colour, style.symbol) for style in styles.values()}) == 24
-    assert all(styles[f"codec{n} level=1"].colour == styles[f"codec{n} level=2"].colour for n in range(12))
+    assert len({(style.color, style.symbol) for style in styles.values()}) == 24
+    assert all(styles[f"codec{n} level=1"].color == styles[f"codec{n} level=2"].color for n in range(12))
     assert all(styles[f"codec{n} level=1"].dashes != styles[f"codec{n} level=2"].dashes for n in range(12))
 
 
@@ -178,13 +178,13 @@ def test_the_color_of_a_codec_is_that_of_its_name_alone() -> None:
     assert len(set(compared.values())) == 11
     for order in (list(compared), list(reversed(compared)), ["codec7", *compared]):
         styles = curve_styles(order, {"raw"})
-        assert {name: styles[name].colour for name in compared} == compared
-    assert curve_styles(["mine qf=5"], set())["mine qf=5"].colour == curve_styles(["mine"], set())["mine"].colour
+        assert {name: styles[name].color for name in compared} == compared
+    assert curve_styles(["mine qf=5"], set())["mine qf=5"].color == curve_styles(["mine"], set())["mine"].color
 
 
 def test_codecs_that_share_a_color_differ_in_dashes_and_markers() -> None:
     features, ours = curve_styles(["orb_features", "jpeg_qf"], set()).values()
-    assert features.colour == ours.colour
+    assert features.color == ours.color
     assert features.dashes != ours.dashes
     assert features.marker != ours.marker
 

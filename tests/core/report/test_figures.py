@@ -1,4 +1,4 @@
-"""Figures of runs whose values are known: axes, order, bars and colours."""
+"""Figures of runs whose values are known: axes, order, bars and colors."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_settings_are_joined_in_their_order_and_repeats_have_bars() -> None:
     run, axes = drawn({"plain": [(1.0, 3.0), (3.0, 2.0), (2.0, 1.0)], "other": [(1.0, 4.0), (2.0, 2.0)]}, repeats=5)
     lines = {container.get_label(): container for container in axes.containers}
     np.testing.assert_array_equal(lines["plain"].lines[0].get_xdata(), [1.0, 3.0, 2.0])
-    assert lines["plain"].lines[0].get_color() == styles_of(run)["plain"].colour
+    assert lines["plain"].lines[0].get_color() == styles_of(run)["plain"].color
     (bars,) = lines["plain"].lines[2]
     for (low, high), middle in zip(
         (segment[:, 1] for segment in bars.get_segments()), lines["plain"].lines[0].get_ydata(), strict=True
@@ -67,7 +67,7 @@ def test_the_baseline_is_a_level_line_with_a_band_and_takes_no_room() -> None:
     run, axes = drawn({"raw": [(24.0, 0.5)], "plain": [(1.0, 3.0), (2.0, 1.0)]}, repeats=5)
     assert axes.get_xlim()[1] < 3.0
     (level,) = (line for line in axes.lines if len(set(line.get_xdata())) == 2 and line.get_xdata()[0] == 0.0)
-    assert level.get_color() == styles_of(run)["raw"].colour
+    assert level.get_color() == styles_of(run)["raw"].color
     (band,) = axes.patches
     assert band.get_y() < level.get_ydata()[0] < band.get_y() + band.get_height()
     _, alone = drawn({"raw": [(24.0, 0.5)]})

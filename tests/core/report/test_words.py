@@ -76,7 +76,7 @@ def test_programs_read_the_same_and_which_column_it_is_about(capsys: pytest.Capt
 
 @pytest.mark.parametrize("form", ["text", "markdown"])
 def test_people_read_what_is_noted_of_a_setting_below_verdicts(form: str, capsys: pytest.CaptureFixture[str]) -> None:
-    note = "half the colour"
+    note = "half the color"
     cells = [replace(cell, notes=(note,)) if cell.cell.codec.name == "mine" else cell for cell in example()]
     run = run_of(*cells)
     print_in_format(run, verdicts(run), form)

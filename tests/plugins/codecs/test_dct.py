@@ -173,7 +173,7 @@ def test_plane_shapes_are_those_of_the_planes(rng: np.random.Generator, color, s
     assert image_from_planes(planes, color, 3).shape == image.shape
 
 
-def test_a_gray_image_is_one_plane_in_every_colour_space(rng: np.random.Generator) -> None:
+def test_a_gray_image_is_one_plane_in_every_color_space(rng: np.random.Generator) -> None:
     image = rng.integers(0, 256, (9, 9), dtype=np.uint8)
     for color in COLORS:
         (plane,) = planes_from_image(image, color)

@@ -68,7 +68,7 @@ def _read(reader: str, bitstream: bytes) -> np.ndarray:
 
 
 def _require_close(got: np.ndarray, expected: np.ndarray) -> None:
-    """Within 1 gray level. Colour adds up to 1.772 for every level of chroma, so single channels get 3."""
+    """Within 1 gray level. Color adds up to 1.772 for every level of chroma, so single channels get 3."""
     assert got.shape == expected.shape
     assert np.abs(gray_from_image(got).astype(int) - gray_from_image(expected)).max() <= 1
     assert np.abs(got.astype(int) - expected).max() <= (1 if got.ndim == 2 else 3)
@@ -86,7 +86,7 @@ def test_other_decoders_read_the_same_picture(image: np.ndarray, setting: dict[s
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("width", [1, 2, 3, 4, 5, 6, 8, 15, 16, 17])
-def test_other_decoders_agree_on_small_colour_images(width: int, rng: np.random.Generator) -> None:
+def test_other_decoders_agree_on_small_color_images(width: int, rng: np.random.Generator) -> None:
     image = rng.integers(0, 256, (width + 2, width, 3), dtype=np.uint8)
     codec = JpegQf.create(qf=1, color="ycbcr420")
     bitstream = codec.encode(image)
@@ -120,7 +120,7 @@ def test_other_encoders_files_are_read(options: list[str]) -> None:
     [
         (["-progressive"], "FFC2"),
         (["-arithmetic"], "FFC9"),
-        (["-rgb"], "colour transform|RGB"),
+        (["-rgb"], "color transform|RGB"),
         (["-sample", "1x2"], "sampling factors"),
         (["-sample", "4x1"], "sampling factors"),
     ],

@@ -22,8 +22,8 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
-def _file(width: int, height: int, pixels: bytes, *, depth: int = 8, colour: int = 0, interlace: int = 0) -> bytes:
-    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, interlace)
+def _file(width: int, height: int, pixels: bytes, *, depth: int = 8, color: int = 0, interlace: int = 0) -> bytes:
+    header = struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, interlace)
     chunks = _chunk(b"IHDR", header) + _chunk(b"IDAT", zlib.compress(pixels)) + _chunk(b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + chunks
 
@@ -62,7 +62,7 @@ def test_every_flipped_bit_is_noticed() -> None:
         (_file(8000, 8000, bytes(10)), "too few"),
         (_file(0, 5, b""), "pixels"),
         (_file(3, 2, bytes(2 * 7), depth=16), "depth 16"),
-        (_file(3, 2, bytes(2 * 13), colour=6), "color type 6"),
+        (_file(3, 2, bytes(2 * 13), color=6), "color type 6"),
         (_file(3, 2, bytes(2 * 4), interlace=1), "interlace 1"),
         (_file(3, 2, bytes(2 * 4)) + b"\0", "after the end"),
         (_file(3, 2, bytes(2 * 4)).replace(_chunk(b"IEND", b""), b""), "ends inside"),

@@ -438,7 +438,7 @@ def test_kitti_gray(kitti):
     assert Kitti.create(path=kitti.parent / "outer", sequence="07").open().camera == sequence.camera
 
 
-def test_kitti_colour_has_the_poses_of_its_own_camera(kitti):
+def test_kitti_color_has_the_poses_of_its_own_camera(kitti):
     """A point projected through P2 from camera 0's frame and through K from camera 2's gives one pixel."""
     sequence = Kitti.create(path=kitti, sequence="07", camera="image_2").open()
     assert sequence.channels == 3

@@ -51,7 +51,7 @@ def test_any_order_gives_the_frames_of_the_straight_one(video):
         np.testing.assert_array_equal(jumping.read(index).image, straight[index])
 
 
-def test_selection_colour_and_rate(video):
+def test_selection_color_and_rate(video):
     sequence = Video.create(path=video, start=5, stop=100, stride=10, color="gray", frame_rate_hz=50).open()
     assert (len(sequence), sequence.channels, sequence.frame_rate_hz) == (10, 1, 5.0)
     assert sequence.timestamps_s[1] == pytest.approx(15 / 50)

@@ -139,7 +139,7 @@ def test_equal_selections_have_equal_fingerprints():
     assert small(frames=30).fingerprint != small(frames=31).fingerprint
 
 
-def test_gray_is_the_gray_of_the_colour_frame():
+def test_gray_is_the_gray_of_the_color_frame():
     gray = small(frames=2, color="gray")
     assert gray.channels == 1
     np.testing.assert_array_equal(gray.read(1).image, gray_from_image(small(frames=2).read(1).image))

@@ -280,7 +280,7 @@ def test_a_repetitive_corridor_has_bays_alike():
     assert alike(1.0) < 0.75
 
 
-def test_fading_keeps_colours_and_scales_contrast(rng):
+def test_fading_keeps_colors_and_scales_contrast(rng):
     from codecbench.plugins.datasets.synthetic.scene import Panel
 
     texture = rng.integers(60, 190, (40, 50, 3), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Localisation: a filmed room whose frames are located in a map of itself, and answers made by hand."""
+"""Localization: a filmed room whose frames are located in a map of itself, and answers made by hand."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def test_families_have_one_spelling() -> None:
         (Multilevel.create(color="gray"), 1.0),
     ],
 )
-def test_all_planes_of_a_colour_image(codec: Any, samples: float) -> None:
+def test_all_planes_of_a_color_image(codec: Any, samples: float) -> None:
     image = np.zeros((480, 640, 3), np.uint8)
     planes = model.coded_planes(image, codec.params.model_dump())
     assert sum(plane.samples for plane in planes) == samples * 480 * 640

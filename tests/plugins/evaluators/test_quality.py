@@ -155,13 +155,13 @@ def measured(images: list[Image], codec: FunctionCodec, folder: Path) -> dict[tu
 
 def test_rates_in_closed_form(tmp_path: Path) -> None:
     gray = textured(20, 30)
-    colour = np.ascontiguousarray(np.dstack([gray, gray.T.reshape(20, 30), gray]))
-    values = measured([colour], FunctionCodec(), tmp_path)
+    color = np.ascontiguousarray(np.dstack([gray, gray.T.reshape(20, 30), gray]))
+    values = measured([color], FunctionCodec(), tmp_path)
     assert values["size_bytes", 0] == 1800
     assert values["rate_bpp", 0] == 24
     assert values["bitrate_kbps", 0] == pytest.approx(1800 * 8 * 10 / 1000)
     assert values["compression_ratio", 0] == 1
-    png = len(cv2.imencode(".png", colour[..., ::-1])[1])
+    png = len(cv2.imencode(".png", color[..., ::-1])[1])
     assert values["cr_percent", 0] == pytest.approx(100 * (1 - 1800 / png))
 
 
@@ -170,17 +170,17 @@ def test_each_frame_has_every_metric_and_gray_frames_no_rgb(tmp_path: Path) -> N
     gray = [textured(180, 190, seed) for seed in range(3)]
     values = measured(gray, FunctionCodec(lambda image: jpeg(image, 20)), tmp_path)
     assert set(values) == {(name, frame) for name in names - {"psnr_rgb_db"} for frame in range(3)}
-    colour = [np.dstack([gray[0], gray[1], gray[2]])]
-    values = measured(colour, FunctionCodec(lambda image: jpeg(image, 20)), tmp_path)
+    color = [np.dstack([gray[0], gray[1], gray[2]])]
+    values = measured(color, FunctionCodec(lambda image: jpeg(image, 20)), tmp_path)
     assert {name for name, _ in values} == names
     assert all(math.isfinite(value) for value in values.values())
 
 
-def test_scores_of_colour_are_of_bt601_gray(tmp_path: Path, rng: np.random.Generator) -> None:
-    colour = rng.integers(0, 256, (30, 40, 3), dtype=np.uint8)
-    other = jpeg(colour, 30)
-    values = measured([colour], FunctionCodec(lambda _: other), tmp_path)
-    first, second = (np.rint(picture @ [0.299, 0.587, 0.114]) for picture in (colour, other))
+def test_scores_of_color_are_of_bt601_gray(tmp_path: Path, rng: np.random.Generator) -> None:
+    color = rng.integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    other = jpeg(color, 30)
+    values = measured([color], FunctionCodec(lambda _: other), tmp_path)
+    first, second = (np.rint(picture @ [0.299, 0.587, 0.114]) for picture in (color, other))
     assert values["psnr_gray_db", 0] == pytest.approx(peak_signal_noise_ratio(first, second, data_range=255), abs=0.02)
 
 

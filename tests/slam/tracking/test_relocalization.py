@@ -80,7 +80,7 @@ def test_a_place_never_seen_stays_unknown(surroundings: Surroundings) -> None:
 
 
 def test_a_few_points_do_not_suffice(surroundings: Surroundings) -> None:
-    """Half of what a relocalised frame needs is visible: the pose would be right, and is not believed."""
+    """Half of what a relocalized frame needs is visible: the pose would be right, and is not believed."""
     pose = looking((0.12, 0.05, 0.1), 0.03, 0.05)
     seen = surroundings.frame(pose).features
     kept = surroundings.rng.choice(len(seen), RELOCALIZED_MIN_INLIERS // 2, replace=False)

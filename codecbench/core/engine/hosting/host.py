@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from codecbench.core.contracts.held_folder import HeldFolder, left_running, open_plain
+from codecbench.core.engine.hosting import HOSTED_VARIABLE
 from codecbench.core.engine.hosting.channel import (
     CRASH_FILE,
     LONGEST_TRACE,
@@ -39,9 +40,6 @@ Role = Literal["describe", "read", "encode", "decode", "evaluate"]
 
 LIMIT_VARIABLE: Final = "CODECBENCH_PLUGIN_TIMEOUT_S"
 """Environment variable with the time limit for importing, constructing or describing a plugin, in seconds."""
-
-HOSTED_VARIABLE: Final = "CODECBENCH_HOSTED"
-"""Set in hosts, so that a plugin that calls codecbench at import does not import itself recursively."""
 
 FOLDER_PREFIX: Final = "codecbench-host-"
 """Prefix of the names of hosts' temporary folders."""

@@ -85,7 +85,7 @@ def _unmet_requirements(distribution: str, libraries: tuple[str, ...]) -> list[s
     with suppress(importlib.metadata.PackageNotFoundError):  # without metadata there are no requirements
         for requirement in _requirements(distribution) if libraries else ():
             if requirement.name.replace("-", "_") in libraries:
-                version = importlib.metadata.version(requirement.name)
+                version = _version(requirement.name)
                 if not requirement.specifier.contains(version, prereleases=True):
                     unmet.append(f"{requirement.name} {requirement.specifier}, but {version} is installed")
     return unmet
@@ -96,6 +96,10 @@ def _requirements(distribution: str) -> tuple[Requirement, ...]:
     from packaging.requirements import Requirement  # slow, and `codecbench list` rarely needs it
 
     return tuple(map(Requirement, importlib.metadata.requires(distribution) or ()))
+
+
+_version: Final = functools.cache(importlib.metadata.version)
+"""Returns the version of an installed library; cached, because it parses a file."""
 
 
 def kind_title(kind: Kind) -> str:

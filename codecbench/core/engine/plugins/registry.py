@@ -22,16 +22,9 @@ import pluggy
 from codecbench.core.contracts import hooks
 from codecbench.core.contracts.errors import PluginError, Unsupported
 from codecbench.core.contracts.hooks import KINDS, Kind, PluginSpec
-from codecbench.core.engine.hosting.confinement import paths_in
-from codecbench.core.engine.hosting.host import (
-    HOSTED_VARIABLE,
-    Host,
-    PluginFault,
-    PluginLoss,
-    PluginTimeout,
-)
+from codecbench.core.engine.hosting import HOSTED_VARIABLE, confinement, host
+from codecbench.core.engine.plugins import offers
 from codecbench.core.engine.plugins.entry_points import origin_of, own_plugins_first, points_by_origin
-from codecbench.core.engine.plugins.offers import Offers, ask_offers, cached_offers
 from codecbench.core.engine.plugins.plugin import OURS, Plugin, Problem, fault_of, kind_title, load_class
 from codecbench.core.engine.text import describe_error
 
@@ -62,21 +55,22 @@ class Registry:
         self._classes: dict[tuple[Kind, str], Any] = {}
         self._losses: Counter[str] = Counter()
         self._given_up: dict[str, str] = {}
-        self._hosts = {origin: Host(origin) for origin in hosted}
-        offers_by_origin = {origin: cached_offers(origin, hosted[origin]) for origin in sorted(hosted)}
-        unknown = [self._hosts[origin] for origin, offers in offers_by_origin.items() if offers is None]
-        for host in unknown[:_AT_ONCE]:
-            host.start()  # they start while codecbench's own plugins are read
+        self._hosts = {origin: host.Host(origin) for origin in hosted}
+        offers_by_origin = {origin: offers.cached_offers(origin, hosted[origin]) for origin in sorted(hosted)}
+        unknown = [self._hosts[origin] for origin, known in offers_by_origin.items() if known is None]
+        for process in unknown[:_AT_ONCE]:
+            process.start()  # they start while codecbench's own plugins are read
         for point in sorted(points, key=own_plugins_first):
             self._admit(point)
         if unknown:
             from concurrent.futures import ThreadPoolExecutor  # slow import: some milliseconds
 
             with ThreadPoolExecutor(_AT_ONCE) as pool:
-                new_offers = pool.map(lambda host: ask_offers(host, hosted[host.distribution]), unknown)
-                offers_by_origin |= zip((host.distribution for host in unknown), new_offers, strict=True)
-        for offers in filter(None, offers_by_origin.values()):
-            self._admit_hosted(offers)
+                origins = [process.distribution for process in unknown]
+                new_offers = pool.map(offers.ask_offers, unknown, map(hosted.__getitem__, origins))
+                offers_by_origin |= zip(origins, new_offers, strict=True)
+        for known in filter(None, offers_by_origin.values()):
+            self._admit_hosted(known)
         for origin in self._hosts.keys() - {plugin.distribution for plugin in self._plugins.values()}:
             self._hosts.pop(origin).end()
 
@@ -142,23 +136,23 @@ class Registry:
             return function(self, *arguments)
         title = plugin.title
         if title in self._given_up:
-            raise PluginFault(self._given_up[title])
+            raise host.PluginFault(self._given_up[title])
         qualified_name = f"{function.__module__}:{function.__qualname__}"
         try:
-            shows = paths_in(arguments) if kind == "dataset" else ()
+            shows = confinement.paths_in(arguments) if kind == "dataset" else ()
             return self._hosts[plugin.distribution].ask(_CALLED, qualified_name, *arguments, times=times, shows=shows)
-        except PluginFault as fault:
+        except host.PluginFault as fault:
             text = str(fault)
             message = " ".join((text if title in text else f"{title}: {text}").split())
-            if isinstance(fault, PluginLoss):
-                self._losses[title] += _MOST_LOSSES if isinstance(fault, PluginTimeout) else 1
+            if isinstance(fault, host.PluginLoss):
+                self._losses[title] += _MOST_LOSSES if isinstance(fault, host.PluginTimeout) else 1
             if self._losses[title] >= _MOST_LOSSES:
                 self._given_up[title] = message
-            raise PluginFault(message) from fault
+            raise host.PluginFault(message) from fault
 
-    def _admit_hosted(self, offers: Offers) -> None:
-        self.problems += offers.problems
-        for plugin, entry_point in offers.plugins:
+    def _admit_hosted(self, known: offers.Offers) -> None:
+        self.problems += known.problems
+        for plugin, entry_point in known.plugins:
             self._take(plugin, entry_point)
 
     def _admit(self, point: EntryPoint) -> None:

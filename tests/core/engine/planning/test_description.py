@@ -77,8 +77,8 @@ def test_each_repeat_has_an_identity(registry: Registry) -> None:
 
 def test_invalid_parameters_are_told_with_the_names_that_are_known(registry: Registry) -> None:
     with pytest.raises(InvalidParams) as found:
-        describe(registry, "codec", "shift", {"bits": "many", "colour": 1})
-    assert {detail["loc"][0] for detail in found.value.details} == {"bits", "colour"}
+        describe(registry, "codec", "shift", {"bits": "many", "color": 1})
+    assert {detail["loc"][0] for detail in found.value.details} == {"bits", "color"}
     assert "bits" in found.value.fields
     json.dumps(found.value.details)
 

@@ -89,10 +89,10 @@ def test_what_cannot_be_computed_here_says_why(plan) -> None:  # type: ignore[no
     assert "calibrated camera; ramp" in reasons["shift", "camera"]
     assert "apt install libabsent" in reasons["absent", "error"]
     assert "pip install 'nothing'" in reasons["uninstalled", "error"]
-    colour = plan(MATRIX.replace("frames: 4", "frames: 4, channels: 3"))
+    color = plan(MATRIX.replace("frames: 4", "frames: 4, channels: 3"))
     for fact in ("gray", "ramp has 3 "):
-        assert fact in colour.cells[0].unsupported
-    assert colour.jobs == ()
+        assert fact in color.cells[0].unsupported
+    assert color.jobs == ()
 
 
 def test_sequences_that_do_not_open_are_reported_at_their_place(plan) -> None:  # type: ignore[no-untyped-def]

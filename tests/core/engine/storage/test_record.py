@@ -167,7 +167,7 @@ def test_the_checksum_is_only_taken_on_trust_where_it_was_checked() -> None:
 
 def test_entries_of_other_versions_are_left_out_or_filled_in() -> None:
     later = {**body(), "mood": "good"}
-    later["files"]["map.npz"]["colour"] = "red"
+    later["files"]["map.npz"]["color"] = "red"
     assert record_from_bytes(sealed(later)).reason == "why"
     earlier = body()
     del earlier["metrics"], earlier["code"]

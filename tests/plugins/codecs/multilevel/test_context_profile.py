@@ -1,4 +1,4 @@
-"""The profile as a whole: quality, effort, colour, restart points and counting."""
+"""The profile as a whole: quality, effort, color, restart points and counting."""
 
 from __future__ import annotations
 

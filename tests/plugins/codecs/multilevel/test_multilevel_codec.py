@@ -101,13 +101,13 @@ def test_all_searches_decode_the_same(keys: object) -> None:
     assert np.array_equal(images[0], images[2])
 
 
-def test_colour_of_a_gray_image_does_not_matter() -> None:
+def test_color_of_a_gray_image_does_not_matter() -> None:
     image = textured(20, 30)
     streams = {Multilevel.create(color=color).encode(image) for color in ("gray", "rgb", "ycbcr444", "ycbcr420")}
     assert len(streams) == 1
 
 
-def test_gray_coding_of_a_colour_image_is_that_of_its_gray_picture() -> None:
+def test_gray_coding_of_a_color_image_is_that_of_its_gray_picture() -> None:
     image = textured(20, 30, 3)
     decoded = round_trip(image, color="gray")
     assert decoded.shape == image.shape

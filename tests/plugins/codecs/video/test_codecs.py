@@ -32,7 +32,7 @@ BY_NAME = {"ids": lambda codec_class: getattr(codec_class, "name", None)}
 EVERY_CODEC = pytest.mark.parametrize("codec_class", CODECS, **BY_NAME)
 PREDICTING = pytest.mark.parametrize("codec_class", [H264, Hevc, Av1, Vp9], **BY_NAME)
 GRAY = gliding_pictures(24, 96, 128, 1)
-COLOUR = gliding_pictures(12, 96, 128, 3)
+COLOR = gliding_pictures(12, 96, 128, 3)
 
 
 def images_of(codec: Any, packets: Any) -> list[np.ndarray]:
@@ -147,7 +147,7 @@ def test_odd_and_small_sizes_come_back(codec_class: Any, shape: tuple[int, int],
 
 
 def test_ffv1_keeps_every_sample_and_profits_from_memory() -> None:
-    for pictures in (GRAY, COLOUR):
+    for pictures in (GRAY, COLOR):
         codec = Ffv1.create()
         assert codec.is_lossless()
         packets = packets_of(codec, pictures)
@@ -157,23 +157,23 @@ def test_ffv1_keeps_every_sample_and_profits_from_memory() -> None:
 
 
 @pytest.mark.parametrize("codec_class", [H264, Hevc, Vp9, Mjpeg], **BY_NAME)
-def test_full_chroma_keeps_colour_that_half_chroma_loses(codec_class: Any) -> None:
+def test_full_chroma_keeps_color_that_half_chroma_loses(codec_class: Any) -> None:
     rng = np.random.default_rng(4)
-    coloured = [rng.integers(0, 256, (48, 64, 3), dtype=np.uint8).repeat(2, axis=0)[:48] for _ in range(3)]
+    colored = [rng.integers(0, 256, (48, 64, 3), dtype=np.uint8).repeat(2, axis=0)[:48] for _ in range(3)]
     rate = {"qp": 2} if codec_class is Mjpeg else {"qp": 12}
     full, half = (
-        size_and_psnr(codec_class.create(pixel_format=pixel_format, **rate), coloured)[1]
+        size_and_psnr(codec_class.create(pixel_format=pixel_format, **rate), colored)[1]
         for pixel_format in ("yuv444p", "yuv420p")
     )
     assert full > half + 8
 
 
 @pytest.mark.parametrize("codec_class", [H264, Hevc, Ffv1], **BY_NAME)
-def test_gray_drops_colour_as_everything_here_does(codec_class: Any) -> None:
+def test_gray_drops_color_as_everything_here_does(codec_class: Any) -> None:
     rate = {} if codec_class is Ffv1 else {"qp": 10}
     codec = codec_class.create(pixel_format="gray", **rate)
-    images = images_of(codec, packets_of(codec, COLOUR))
-    luma = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in COLOUR]
+    images = images_of(codec, packets_of(codec, COLOR))
+    luma = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in COLOR]
     luma = [np.stack([plane, plane, plane], axis=2) for plane in luma]
     if codec_class is Ffv1:
         assert all(np.array_equal(*pair) for pair in zip(images, luma, strict=True))
@@ -245,7 +245,7 @@ def test_a_picture_of_another_shape_is_refused(codec_class: Any) -> None:
 
 
 def plainly_encoded(encoder: str, options: dict[str, str], pictures: list[np.ndarray]) -> tuple[int, list[np.ndarray]]:
-    """What FFmpeg writes and reads by itself: its own conversion of colour, its own demuxer's packets."""
+    """What FFmpeg writes and reads by itself: its own conversion of color, its own demuxer's packets."""
     file = io.BytesIO()
     form = {"libx264": "h264", "libx265": "hevc"}.get(encoder, "ivf")
     with av.open(file, "w", format=form) as container, library.preserve_scheduling():

@@ -1,4 +1,4 @@
-"""The header, the recovery points and the conversion of colour, each against what is known of it."""
+"""The header, the recovery points and the conversion of color, each against what is known of it."""
 
 from __future__ import annotations
 
@@ -68,10 +68,10 @@ def test_smooth_pictures_survive_the_conversion(pixel_format: str, channels: int
     assert np.abs(back.astype(int) - image).max() <= (0 if channels == 1 or pixel_format in ("rgb", "gray") else 3)
 
 
-def test_colour_is_full_range_bt601() -> None:
+def test_color_is_full_range_bt601() -> None:
     """Y = 0.299 R + 0.587 G + 0.114 B, Cb = 128 + 0.564 (B - Y), Cr = 128 + 0.713 (R - Y)."""
-    colours = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
-    luma, blue, red = planes_from_image(colours, "yuv444p")
+    colors = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
+    luma, blue, red = planes_from_image(colors, "yuv444p")
     assert luma.ravel().tolist() == [76, 150, 29, 255]
     assert blue.ravel() == pytest.approx([85, 44, 255, 128], abs=1)
     assert red.ravel() == pytest.approx([255, 21, 107, 128], abs=1)
@@ -83,7 +83,7 @@ def test_padding_repeats_the_edge() -> None:
     assert pad_image(image, 4, 4).tolist() == [[0, 1, 2, 2], [3, 4, 5, 5], [3, 4, 5, 5], [3, 4, 5, 5]]
 
 
-def test_results_say_what_becomes_of_colour() -> None:
+def test_results_say_what_becomes_of_color() -> None:
     said = {pixel_format: H264.create(pixel_format=pixel_format).remark() for pixel_format in ("gray", "yuv420p")}
     assert "not coded (gray)" in said["gray"]
     assert "half size (yuv420p)" in said["yuv420p"]

@@ -88,7 +88,7 @@ def test_fingerprint_follows_frames_selection_and_conversion(tmp_path):
     assert Bag.create(path=other).open().fingerprint == Bag.create(path=path, stop=5).open().fingerprint
 
 
-def test_colour_is_converted_as_in_other_datasets(tmp_path):
+def test_color_is_converted_as_in_other_datasets(tmp_path):
     path = write_pictures(tmp_path / "a.bag", "bag", count=1)
     gray = Bag.create(path=path, color="gray").open()
     assert gray.channels == 1

@@ -121,7 +121,7 @@ def test_bayer_pictures_are_interpolated_bilinearly(tmp_path, order):
 
 
 @pytest.mark.parametrize("order", BAYER)
-def test_a_flat_colour_survives_its_mosaic(tmp_path, order):
+def test_a_flat_color_survives_its_mosaic(tmp_path, order):
     sequence = opened(tmp_path, lambda bag: bag.image(mosaic(FLAT, order), f"bayer_{order}8", time_ns(0)))
     np.testing.assert_array_equal(sequence.read(0).image, FLAT)
 

@@ -22,7 +22,7 @@ class NpySequence(FrameSequence):
         try:
             self._frames = np.load(file, mmap_mode="r", allow_pickle=False)
         except (OSError, ValueError) as error:
-            raise DatasetError(f"{file}: {error}; `path` names a .npy file") from error
+            raise DatasetError(f"{file}: {error}; `path` must be a .npy file") from error
         shape = self._frames.shape
         if self._frames.dtype != np.uint8 or not (len(shape) == 3 or (len(shape) == 4 and shape[3] == 3)):
             raise DatasetError(f"{file}: {self._frames.dtype} {shape}; allowed: uint8 (N, H, W) or (N, H, W, 3)")

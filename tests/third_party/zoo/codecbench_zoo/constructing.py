@@ -139,7 +139,7 @@ class Boastful(TameCodec):
     capabilities = "everything"  # type: ignore[assignment]
 
 
-class Colourless(TameCodec):
+class Colorless(TameCodec):
     """Takes no layout."""
 
     capabilities = Capabilities(channels=())

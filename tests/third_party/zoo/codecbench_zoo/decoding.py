@@ -51,7 +51,7 @@ class DecodesTurned(_Decoder):
         return image.T
 
 
-class DecodesColour(_Decoder):
+class DecodesColor(_Decoder):
     def seen(self, image: Image) -> Any:
         return np.stack([image] * 3, axis=-1)
 

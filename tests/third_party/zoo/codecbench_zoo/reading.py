@@ -50,8 +50,8 @@ class ReadsLists(_Spoiling):
         return replace(frame, image=frame.image.tolist())
 
 
-class ReadsColour(_Spoiling):
-    """Says gray and gives colour."""
+class ReadsColor(_Spoiling):
+    """Says gray and gives color."""
 
     def spoilt(self, frame: Frame) -> Any:
         return replace(frame, image=np.stack([frame.image] * 3, axis=-1))
