@@ -11,13 +11,17 @@ from typing import Any
 
 import distributions
 import numpy as np
+import pytest
+from project import THIRD_PARTY
 
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.model import Cell, Plan
 from codecbench.core.engine.planning.plan import make_plan
-from codecbench.core.engine.plugins.registry import installed
+from codecbench.core.engine.plugins.registry import everything, installed
+from codecbench.core.engine.running import work
 from codecbench.core.engine.running.progress import RunSummary
 from codecbench.core.engine.running.run import run_plan
+from codecbench.core.engine.running.workbench import Workbench
 from codecbench.core.engine.storage.record import SAMPLES_FILE, Record
 from codecbench.core.engine.storage.samples import table_from_parquet
 from codecbench.core.engine.storage.store import Store
@@ -88,6 +92,20 @@ def bench_in(folder: Path, workers: int = 2) -> Iterator[Bench]:
     finally:
         sys.path.remove(str(site))
         installed.cache_clear()
+
+
+@contextmanager
+def bench_without_processes(folder: Path) -> Iterator[Bench]:
+    """A bench whose executor `inline` creates all plugins in this process: for tests that make many runs."""
+    with bench_in(folder) as bench, pytest.MonkeyPatch.context() as patch:
+        (bench.site / "codecbench_inline").symlink_to(THIRD_PARTY / "inline" / "codecbench_inline")
+        distributions.register(bench.site, "codecbench-inline", "1", "codecbench_inline")
+        installed.cache_clear()
+        workbench = Workbench(registry=everything())
+        workbench.hosts_none = True
+        patch.setattr(work, "_workbench", lambda: workbench)
+        yield bench
+        sys.modules.pop("codecbench_inline", None)
 
 
 def matrix(codecs: str, evaluators: str, run: str = "workers: 2") -> str:

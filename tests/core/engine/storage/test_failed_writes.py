@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_bench import Bench, bench_in, contents, matrix
-from project import THIRD_PARTY
+from engine_bench import Bench, bench_without_processes, contents, matrix
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Plan
-from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.storage import atomic, record_index, store
 
@@ -83,14 +80,8 @@ class Stream:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with bench_in(tmp_path) as made:
-        (made.site / "codecbench_inline").symlink_to(THIRD_PARTY / "inline" / "codecbench_inline")
-        from distributions import register
-
-        register(made.site, "codecbench-inline", "1", "codecbench_inline")
-        installed.cache_clear()
+    with bench_without_processes(tmp_path) as made:
         yield made
-        sys.modules.pop("codecbench_inline", None)
 
 
 @pytest.fixture

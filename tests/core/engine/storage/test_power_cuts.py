@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
@@ -17,14 +16,11 @@ from typing import Any
 
 import pytest
 from disk_model import Disk, State, put
-from distributions import register
-from engine_bench import Bench, bench_in, contents, matrix
-from project import THIRD_PARTY
+from engine_bench import Bench, bench_without_processes, contents, matrix
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.identity import content_digest
 from codecbench.core.engine.planning.model import Plan
-from codecbench.core.engine.plugins.registry import installed
 from codecbench.core.engine.running.progress import Progress
 from codecbench.core.engine.storage import atomic, store
 from codecbench.core.engine.storage.store import Store
@@ -58,12 +54,8 @@ def test_the_disk_has_what_was_waited_for_and_may_lack_the_rest(tmp_path: Path) 
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
-    with bench_in(tmp_path) as made:
-        (made.site / "codecbench_inline").symlink_to(THIRD_PARTY / "inline" / "codecbench_inline")
-        register(made.site, "codecbench-inline", "1", "codecbench_inline")
-        installed.cache_clear()
+    with bench_without_processes(tmp_path) as made:
         yield made
-        sys.modules.pop("codecbench_inline", None)
 
 
 @pytest.fixture
