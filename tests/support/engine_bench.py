@@ -27,6 +27,8 @@ from codecbench.core.engine.storage.samples import table_from_parquet
 from codecbench.core.engine.storage.store import Store
 
 FRAMES = 5
+HERE = "workers: 1, executor: inline"
+"""Part `run` of a matrix whose plugins are created in the test's process, see `bench_without_processes`."""
 
 
 def write_stack(path: Path, frames: int = FRAMES, seed: int = 0) -> Path:
@@ -96,7 +98,10 @@ def bench_in(folder: Path, workers: int = 2) -> Iterator[Bench]:
 
 @contextmanager
 def bench_without_processes(folder: Path) -> Iterator[Bench]:
-    """A bench whose executor `inline` creates all plugins in this process: for tests that make many runs."""
+    """A bench whose executor `inline` creates all plugins in this process: for tests of folders and schedules.
+
+    A run of it takes some 50 ms, and with workers and hosts seconds.
+    """
     with bench_in(folder) as bench, pytest.MonkeyPatch.context() as patch:
         (bench.site / "codecbench_inline").symlink_to(THIRD_PARTY / "inline" / "codecbench_inline")
         distributions.register(bench.site, "codecbench-inline", "1", "codecbench_inline")

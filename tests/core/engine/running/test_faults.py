@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 import pytest
-from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
+from engine_bench import HERE, Bench, bench_in, bench_without_processes, contents, grid, matrix, write_stack
 from project import SUPPORT
 
 from codecbench.core.contracts.errors import StoreError
@@ -80,6 +80,12 @@ SHORT = "workers: 1, timeout_s: 15"
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Bench]:
     with bench_in(tmp_path, workers=1) as made:
+        yield made
+
+
+@pytest.fixture
+def bench_here(tmp_path: Path) -> Iterator[Bench]:
+    with bench_without_processes(tmp_path) as made:
         yield made
 
 
@@ -160,10 +166,10 @@ def test_every_evaluator_fault_fails_the_cell(bench: Bench) -> None:
 
 
 @pytest.mark.thorough
-def test_failed_cells_are_tried_again_and_good_ones_kept(bench: Bench) -> None:
-    text = matrix(grid("faulty", ["raise", "none"]), "wandering")
-    assert bench.run(text).statuses == {"failed": 1, "ok": 1}
-    again = bench.run(text)
+def test_failed_cells_are_tried_again_and_good_ones_kept(bench_here: Bench) -> None:
+    text = matrix(grid("faulty", ["raise", "none"]), "wandering", HERE)
+    assert bench_here.run(text).statuses == {"failed": 1, "ok": 1}
+    again = bench_here.run(text)
     assert (again.computed, again.kept, again.statuses) == (1, 1, {"failed": 1, "ok": 1})
 
 
@@ -190,10 +196,10 @@ def damage(path: Path, how: str) -> None:
 
 
 @pytest.mark.thorough
-def test_damaged_records_are_found_reported_and_computed_again(bench: Bench) -> None:
-    plan = bench.plan(matrix(grid("faulty", ["none", "fork", "noise"]), "wandering, whole"))
-    bench.run(plan)
-    store, before = bench.store(), contents(bench.store(), plan)
+def test_damaged_records_are_found_reported_and_computed_again(bench_here: Bench) -> None:
+    plan = bench_here.plan(matrix(grid("faulty", "abc"), "wandering, whole", HERE))
+    bench_here.run(plan)
+    store, before = bench_here.store(), contents(bench_here.store(), plan)
     of = {name: [cell for cell in plan.cells if cell.evaluator.name == name] for name in ("wandering", "whole")}
     victims = {
         of["wandering"][0].id: ("frames.parquet", "flip"),
@@ -206,13 +212,13 @@ def test_damaged_records_are_found_reported_and_computed_again(bench: Bench) -> 
         damage(store.record_folder(cell_id) / name, how)
         with pytest.raises(RecordDamage, match=name):
             read_everything(store, cell_id)
-    again = bench.run(plan)
+    again = bench_here.run(plan)
     assert set(again.damaged) == set(victims)
     assert (again.computed, again.kept, again.encoded) == (5, 1, 0)
     log = store.log_path.read_text()
     assert all(cell_id in log for cell_id in victims)
     assert contents(store, plan) == before
-    assert bench.run(plan).kept == 6
+    assert bench_here.run(plan).kept == 6
 
 
 def read_everything(store: Store, cell_id: str) -> None:
@@ -222,70 +228,70 @@ def read_everything(store: Store, cell_id: str) -> None:
 
 
 @pytest.mark.thorough
-def test_damaged_bitstreams_are_encoded_again(bench: Bench) -> None:
-    codecs = grid("faulty", ["none", "fork", "noise", "leave_alone"])
-    plan = bench.plan(matrix(codecs, "wandering"))
-    bench.run(plan)
-    flipped, cut, gone, _ = [bench.store().coded_path(job.id) for job in plan.jobs]
+def test_damaged_bitstreams_are_encoded_again(bench_here: Bench) -> None:
+    codecs = grid("faulty", "abcd")
+    plan = bench_here.plan(matrix(codecs, "wandering", HERE))
+    bench_here.run(plan)
+    flipped, cut, gone, _ = [bench_here.store().coded_path(job.id) for job in plan.jobs]
     damage(flipped, "flip")
     damage(cut, "truncate")
     gone.unlink()
-    more = bench.plan(matrix(codecs, "wandering, whole"))
-    again = bench.run(more)
+    more = bench_here.plan(matrix(codecs, "wandering, whole", HERE))
+    again = bench_here.run(more)
     assert (again.statuses, again.encoded, again.kept) == ({"ok": 8}, 3, 4)
-    log = bench.store().log_path.read_text()
+    log = bench_here.store().log_path.read_text()
     assert [path.stem in log for path in (flipped, cut, gone)] == [True, True, False]
-    bench.run(more, "undisturbed")
-    assert contents(bench.store(), more) == contents(bench.store("undisturbed"), more)
+    bench_here.run(more, "undisturbed")
+    assert contents(bench_here.store(), more) == contents(bench_here.store("undisturbed"), more)
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("how", ["flip", "truncate", "remove"])
-def test_a_damaged_index_is_made_again_from_the_records(bench: Bench, how: str) -> None:
-    plan = bench.plan(matrix(grid("faulty", ["none", "fork"]), "wandering, whole"))
-    bench.run(plan)
-    path = bench.store().records_folder / "index.jsonl"
+def test_a_damaged_index_is_made_again_from_the_records(bench_here: Bench, how: str) -> None:
+    plan = bench_here.plan(matrix(grid("faulty", "ab"), "wandering, whole", HERE))
+    bench_here.run(plan)
+    path = bench_here.store().records_folder / "index.jsonl"
     if how == "remove":
         path.unlink()
     else:
         damage(path, how)
-    assert set(bench.store().entries()) == {cell.id for cell in plan.cells}
-    assert bench.run(plan).kept == 4
+    assert set(bench_here.store().entries()) == {cell.id for cell in plan.cells}
+    assert bench_here.run(plan).kept == 4
 
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("how", ["flip", "truncate"])
-def test_a_damaged_plan_is_said_to_be_and_written_again(bench: Bench, how: str) -> None:
-    plan = bench.plan(matrix("faulty", "wandering"))
-    bench.run(plan)
-    assert bench.store().read_plan() == plan
-    damage(bench.folder / "run" / "plan.json", how)
+def test_a_damaged_plan_is_said_to_be_and_written_again(bench_here: Bench, how: str) -> None:
+    plan = bench_here.plan(matrix("faulty", "wandering", HERE))
+    bench_here.run(plan)
+    assert bench_here.store().read_plan() == plan
+    damage(bench_here.folder / "run" / "plan.json", how)
     with pytest.raises(StoreError, match=r"plan\.json .*damaged"):
-        bench.store().read_plan()
-    assert bench.run(plan).kept == 1
-    assert bench.store().read_plan() == plan
+        bench_here.store().read_plan()
+    assert bench_here.run(plan).kept == 1
+    assert bench_here.store().read_plan() == plan
 
 
 @pytest.mark.thorough
-def test_a_full_disk_ends_the_run_and_loses_nothing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = bench.plan(matrix(grid("faulty", ["none", "fork", "noise"]), "wandering, whole"))
+def test_a_full_disk_ends_the_run_and_loses_nothing(bench_here: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = bench_here.plan(matrix(grid("faulty", "abc"), "wandering, whole", HERE))
     fsync = os.fsync
 
     def full(*arguments: Any) -> Any:
-        if len(bench.store().entries()) >= 3:
+        if len(bench_here.store().entries()) >= 3:
             raise OSError(errno.ENOSPC, "No space left on device")
         return fsync(*arguments)
 
     monkeypatch.setattr("codecbench.core.engine.storage.store._DURABLE_FROM_S", 0.0)
     monkeypatch.setattr(atomic.os, "fsync", full)
     with pytest.raises(StoreError, match=f"{os.strerror(errno.ENOSPC)}; all earlier records"):
-        bench.run(plan)
+        bench_here.run(plan)
     monkeypatch.setattr(atomic.os, "fsync", fsync)
-    assert not list((bench.folder / "run").rglob(".new-*"))
-    again = bench.run(plan)
+    assert not list((bench_here.folder / "run").rglob(".new-*"))
+    again = bench_here.run(plan)
     assert (again.kept, again.statuses) == (3, {"ok": 6})
-    bench.run(plan, "undisturbed")
-    assert contents(bench.store(), plan) == contents(bench.store("undisturbed"), plan)
+    bench_here.run(plan, "undisturbed")
+    assert contents(bench_here.store(), plan) == contents(bench_here.store("undisturbed"), plan)
 
 
 @contextmanager
@@ -303,27 +309,29 @@ def small_disk(folder: Path) -> Iterator[None]:
 
 
 @pytest.mark.thorough
-def test_a_disk_that_is_really_full_loses_nothing(bench: Bench) -> None:
-    plan = bench.plan(matrix("{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}", "wandering, whole, slow"))
-    with small_disk(bench.folder / "disk"):
+def test_a_disk_that_is_really_full_loses_nothing(bench_here: Bench) -> None:
+    plan = bench_here.plan(
+        matrix("{use: faulty, params: {step: {grid: [0, 1, 2, 3]}}}", "wandering, whole, slow", HERE)
+    )
+    with small_disk(bench_here.folder / "disk"):
         with pytest.raises(StoreError, match=os.strerror(errno.ENOSPC)):
-            bench.run(plan, "disk/run")
-        finished = [one.cell_id for one in bench.store("disk/run").entries().values() if one.status == "ok"]
-        sound, damaged = bench.store("disk/run").sound_entries(cell.id for cell in plan.cells)
+            bench_here.run(plan, "disk/run")
+        finished = [one.cell_id for one in bench_here.store("disk/run").entries().values() if one.status == "ok"]
+        sound, damaged = bench_here.store("disk/run").sound_entries(cell.id for cell in plan.cells)
         assert finished
         assert len(finished) < len(plan.cells)
         assert not damaged
-        subprocess.run(["mount", "-o", "remount,size=16m", bench.folder / "disk"], check=True)
-        again = bench.run(plan, "disk/run")
+        subprocess.run(["mount", "-o", "remount,size=16m", bench_here.folder / "disk"], check=True)
+        again = bench_here.run(plan, "disk/run")
         assert (again.kept, again.statuses) == (len(finished), {"ok": 12})
         assert set(finished) <= set(sound)
-        bench.run(plan, "undisturbed")
-        assert contents(bench.store("disk/run"), plan) == contents(bench.store("undisturbed"), plan)
+        bench_here.run(plan, "undisturbed")
+        assert contents(bench_here.store("disk/run"), plan) == contents(bench_here.store("undisturbed"), plan)
 
 
 @pytest.mark.thorough
 def test_a_second_process_in_the_folder_is_refused_and_disturbs_nothing(bench: Bench) -> None:
-    cells = "abcdefghijklmnopqrstuvwx"
+    cells = "abcdef"
     plan = bench.plan(matrix(grid("faulty", cells), "slow"))
     command = [sys.executable, SUPPORT / "run_driver.py", bench.folder / "matrix.yaml"]
     first = subprocess.Popen([*map(str, command), str(bench.folder / "run"), str(bench.site)])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_bench import Bench, bench_without_processes, contents, matrix
+from engine_bench import HERE, Bench, bench_without_processes, contents, matrix
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.planning.model import Plan
@@ -88,7 +88,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 def plan(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Plan:
     """A few cells with samples, computed in this process, each waited for until the disk has it."""
     monkeypatch.setattr(store, "_DURABLE_FROM_S", 0.0)
-    text = matrix("{use: faulty, params: {step: {grid: [0, 1]}}}", "wandering", "workers: 1, executor: inline")
+    text = matrix("{use: faulty, params: {step: {grid: [0, 1]}}}", "wandering", HERE)
     return bench.plan(text)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from disk_model import Disk, State, put
-from engine_bench import Bench, bench_without_processes, contents, matrix
+from engine_bench import HERE, Bench, bench_without_processes, contents, matrix
 
 from codecbench.core.contracts.errors import StoreError
 from codecbench.core.engine.identity import content_digest
@@ -61,7 +61,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 @pytest.fixture
 def plan(bench: Bench) -> Plan:
     """A cell with samples and another with an artifact, computed in this process."""
-    return bench.plan(matrix("faulty", "wandering, whole", "workers: 1, executor: inline"))
+    return bench.plan(matrix("faulty", "wandering, whole", HERE))
 
 
 class Hasty:
