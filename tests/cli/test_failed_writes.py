@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from installed_command import Done, Place, tiny_place
+from recordings import pictures
 
 from codecbench.cli.messages import ExitStatus
 
@@ -28,6 +29,16 @@ evaluators: [quality]
 run: {workers: 1}
 """
 """Whose run has figures."""
+
+OURS = """
+version: 1
+name: ours
+sequences: [{use: folder, params: {path: recording}}]
+codecs: [{use: jpeg, params: {quality: 20}}]
+evaluators: [quality]
+run: {workers: 1}
+"""
+"""Of codecbench's own plugins: quick, because it starts no hosts."""
 
 FAILING = """
 import errno, os
@@ -49,6 +60,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     """Matrices, and their finished runs in `runs/tiny` and `runs/pictured`."""
     place = tiny_place(tmp_path_factory.mktemp("writes"))
     (place.folder / "pictured.yaml").write_text(PICTURED)
+    (place.folder / "ours.yaml").write_text(OURS)
+    pictures(place.folder / "recording", ["1.png", "2.png"])
     assert place.call("run", "pictured.yaml").status == ExitStatus.SUCCESS
     assert place.call("bundle", "runs/tiny", "--out", "tiny.bundle.zip").status == ExitStatus.SUCCESS
     # For the first figure of all, matplotlib lists fonts with a tool that complains where it may not keep its list.
@@ -119,9 +132,9 @@ def test_an_output_on_a_full_disk_leaves_no_part(place: Place, full_disk: Path, 
 
 
 def test_a_run_on_a_full_disk_goes_on_when_there_is_room(place: Place, full_disk: Path) -> None:
-    is_refused(place.call("run", "tiny.yaml", "--out", str(full_disk / "run")), "No space left on device")
+    is_refused(place.call("run", "ours.yaml", "--out", str(full_disk / "run")), "No space left on device")
     (full_disk / "filler").unlink()
-    done = place.call("run", "tiny.yaml", "--out", str(full_disk / "run"))
+    done = place.call("run", "ours.yaml", "--out", str(full_disk / "run"))
     assert done.status == ExitStatus.SUCCESS, done.output
     assert "cells: 1 ok" in done.stdout
 
@@ -199,8 +212,8 @@ def test_a_run_that_cannot_write_says_so_and_the_next_one_completes_it(
     (tmp_path / "sitecustomize.py").write_text(FAILING.format(call=call, error="ENOSPC", inside=inside))
     path = os.pathsep.join([str(tmp_path), place.environment()["PYTHONPATH"]])
     out = tmp_path / "fresh"
-    is_refused(place.call("run", "tiny.yaml", "--out", str(out), PYTHONPATH=path), "No space left on device", str(out))
-    again = place.call("run", "tiny.yaml", "--out", str(out))
+    is_refused(place.call("run", "ours.yaml", "--out", str(out), PYTHONPATH=path), "No space left on device", str(out))
+    again = place.call("run", "ours.yaml", "--out", str(out))
     assert again.status == ExitStatus.SUCCESS, again.output
     assert "cells: 1 ok" in again.stdout
     assert list(out.rglob(".new-*")) == []
@@ -210,18 +223,18 @@ def test_a_run_that_cannot_write_says_so_and_the_next_one_completes_it(
     "size", [0, pytest.param(40, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.slow)]
 )
 def test_a_run_on_a_disk_that_is_full_at_the_start_says_so(place: Place, tmp_path: Path, size: int) -> None:
-    done = place.call("run", "tiny.yaml", "--out", str(tmp_path / "run"), most_bytes=size)
+    done = place.call("run", "ours.yaml", "--out", str(tmp_path / "run"), most_bytes=size)
     if size == 0:  # not even a temporary file can be made, which comes before the run folder
         is_refused(done, "No usable temporary directory", "; make room in one of them, or set TMPDIR to a folder")
     else:
         is_refused(done, str(tmp_path / "run"), "File too large")
-    assert place.call("run", "tiny.yaml", "--out", str(tmp_path / "run")).status == ExitStatus.SUCCESS
+    assert place.call("run", "ours.yaml", "--out", str(tmp_path / "run")).status == ExitStatus.SUCCESS
 
 
 def test_no_room_for_temporary_files_is_told_before_any_worker_starts(place: Place, tmp_path: Path) -> None:
     """The plan and the log fit into files of this size; what workers may need for temporary files does not."""
     (tmp_path / "temporary").mkdir()
-    arguments = ("run", "tiny.yaml", "--out", str(tmp_path / "run"))
+    arguments = ("run", "ours.yaml", "--out", str(tmp_path / "run"))
     done = place.call(*arguments, most_bytes=30_000, TMPDIR=str(tmp_path / "temporary"))
     is_refused(done, str(tmp_path / "temporary"), "File too large")
     assert "expired" not in done.output

@@ -28,7 +28,9 @@ from codecbench.core.engine.storage.store import Store
 
 FRAMES = 5
 HERE = "workers: 1, executor: inline"
-"""Part `run` of a matrix whose plugins are created in the test's process, see `bench_without_processes`."""
+"""Part `run` of a matrix whose plugins are created in the test's process, see `plugins_in_process`."""
+OURS = "{use: jpeg, params: {quality: {grid: [20, 80]}}}"
+"""Two codec settings that need no hosts, of which each takes most of a second of processor time to begin."""
 
 
 def write_stack(path: Path, frames: int = FRAMES, seed: int = 0) -> Path:
@@ -97,20 +99,27 @@ def bench_in(folder: Path, workers: int = 2) -> Iterator[Bench]:
 
 
 @contextmanager
+def plugins_in_process(site: Path) -> Iterator[None]:
+    """Meanwhile the executor `inline` creates the plugins of all distributions in this process."""
+    (site / "codecbench_inline").symlink_to(THIRD_PARTY / "inline" / "codecbench_inline")
+    distributions.register(site, "codecbench-inline", "1", "codecbench_inline")
+    installed.cache_clear()
+    workbench = Workbench(registry=everything())
+    workbench.hosts_none = True
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(work, "_workbench", lambda: workbench)
+        yield
+    sys.modules.pop("codecbench_inline", None)
+
+
+@contextmanager
 def bench_without_processes(folder: Path) -> Iterator[Bench]:
-    """A bench whose executor `inline` creates all plugins in this process: for tests of folders and schedules.
+    """A bench for runs without workers and hosts: for tests of folders and schedules.
 
     A run of it takes some 50 ms, and with workers and hosts seconds.
     """
-    with bench_in(folder) as bench, pytest.MonkeyPatch.context() as patch:
-        (bench.site / "codecbench_inline").symlink_to(THIRD_PARTY / "inline" / "codecbench_inline")
-        distributions.register(bench.site, "codecbench-inline", "1", "codecbench_inline")
-        installed.cache_clear()
-        workbench = Workbench(registry=everything())
-        workbench.hosts_none = True
-        patch.setattr(work, "_workbench", lambda: workbench)
+    with bench_in(folder) as bench, plugins_in_process(bench.site):
         yield bench
-        sys.modules.pop("codecbench_inline", None)
 
 
 def matrix(codecs: str, evaluators: str, run: str = "workers: 2") -> str:

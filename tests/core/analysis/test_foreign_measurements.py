@@ -8,7 +8,7 @@ import json
 
 import pytest
 from distributions import install_source
-from installed_command import TINY, Place, tiny_place
+from installed_command import TINY, Place, plain_place
 from told import numbers
 
 pytestmark = pytest.mark.thorough
@@ -68,14 +68,14 @@ REASONS = {
     "leaves": "its process exited with status 3",
     "hangs": "no answer",
 }
-CODECS = "[{use: shift, params: {bits: {grid: [0, 1, 2, 3]}}}]"
+CODECS = "[{use: jpeg, params: {quality: {grid: [20, 40, 60, 80]}}}]"
 """More cells than a plugin may take hosts down with, so that it is no longer asked when a second folder is read."""
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
     """A finished run of each evaluator in `runs/NAME`, but for the one without end."""
-    place = tiny_place(tmp_path_factory.mktemp("comparers"))
+    place = plain_place(tmp_path_factory.mktemp("comparers"))
     install_source(place.site, "comparers", "1", COMPARERS)
     for name in (*REASONS, "millions"):
         text = TINY.replace("tiny", name).replace("[shift]", CODECS).replace("[error]", f"[{name}]")

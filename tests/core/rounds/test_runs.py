@@ -15,6 +15,7 @@ from pathlib import Path
 import distributions
 import pytest
 from click.testing import CliRunner
+from engine_bench import HERE, plugins_in_process
 from project import ROOT, SUPPORT
 from search_plugins import Dial
 
@@ -41,6 +42,12 @@ def place(tmp_path: Path) -> Iterator[Path]:
     yield tmp_path
     sys.path.remove(str(site))
     installed.cache_clear()
+
+
+@pytest.fixture
+def place_here(place: Path) -> Iterator[Path]:
+    with plugins_in_process(place / "site"):
+        yield place
 
 
 def write(place: Path, codecs: str, evaluators: str = "scales", run: str = "workers: 2") -> Path:
@@ -77,8 +84,8 @@ run: {workers: 1}
     assert record.cell["inputs"] == {"encode_ms": next(iter(inputs[2].values()))}
 
 
-def test_a_run_finds_what_is_sought_and_a_grid_takes_its_cells(place: Path) -> None:
-    path = write(place, f"still, {ENTRY % ''}", "scales, {use: toss, params: {runs: 2}}")
+def test_a_run_finds_what_is_sought_and_a_grid_takes_its_cells(place_here: Path) -> None:
+    path = write(place_here, f"still, {ENTRY % ''}", "scales, {use: toss, params: {runs: 2}}", HERE)
     summary = run(path)
     result = codecbench.open_run(summary.folder)
     (found,) = result.plan.searches
@@ -92,20 +99,19 @@ def test_a_run_finds_what_is_sought_and_a_grid_takes_its_cells(place: Path) -> N
         assert row["scales.weight_bytes.mean"] == Dial.size_bytes(level)
     again = run(path)
     assert (again.computed, again.encoded, again.kept) == (0, 0, len(result.plan.cells))
-    grid = run(
-        write(place, "still, {use: dial, params: {level: {grid: [30, 77]}}}", "scales, {use: toss, params: {runs: 2}}")
-    )
+    sweep = "still, {use: dial, params: {level: {grid: [30, 77]}}}"
+    grid = run(write(place_here, sweep, "scales, {use: toss, params: {runs: 2}}", HERE))
     assert (grid.computed, grid.kept, grid.encoded) == (3, 6, 1)
 
 
-def test_a_broken_trial_is_reported_and_nothing_else_is_lost(place: Path) -> None:
-    path = write(place, f"{ENTRY % ', broken_from: 150'}, {ENTRY % ''}")
-    printed = CliRunner().invoke(cli, ["run", str(path), "--out", str(place / "run")])
+def test_a_broken_trial_is_reported_and_nothing_else_is_lost(place_here: Path) -> None:
+    path = write(place_here, f"{ENTRY % ', broken_from: 150'}, {ENTRY % ''}", run=HERE)
+    printed = CliRunner().invoke(cli, ["run", str(path), "--out", str(place_here / "run")])
     assert printed.exit_code == 1
     text = " ".join(printed.output.split())
     assert "dial came off" in text
     assert re.search(r"^dial +flat0 +weight_bytes = 100 +stopped", printed.output, re.MULTILINE)
-    broken, sound = codecbench.open_run(place / "run").plan.searches
+    broken, sound = codecbench.open_run(place_here / "run").plan.searches
     assert (broken.state, sound.setting) == ("stopped", "level=30")
 
 
@@ -135,12 +141,12 @@ def test_a_killed_search_goes_on_and_computes_nothing_twice(place: Path) -> None
     assert found.trials == len(Store(folder).entries()) == summary.kept + summary.computed
 
 
-def test_repeats_are_added_in_a_run(place: Path) -> None:
+def test_repeats_are_added_in_a_run(place_here: Path) -> None:
     toss = "{use: toss, params: {runs: 30, even_at_bytes: 100, steep: 0.2}}"
     sweep = "{use: dial, params: {level: {grid: [10, 30, 60]}}}"
-    path = write(place, f"still, {sweep}", f"scales, {toss}", "until: {decided: caught}")
+    path = write(place_here, f"still, {sweep}", f"scales, {toss}", f"{HERE}, until: {{decided: caught}}")
     run(path)
-    result = codecbench.open_run(place / "run")
+    result = codecbench.open_run(place_here / "run")
     counts = {
         label: sum(cell.evaluator.name == "toss" for cell in result.plan.cells if cell.codec.label == label)
         for label in ("level=10", "level=30", "level=60")
@@ -159,21 +165,21 @@ def test_clusters_search_too(place: Path) -> None:
     assert found.setting == "level=30"
 
 
-def test_plan_and_rank_say_how_far_a_search_is(place: Path) -> None:
-    path = write(place, ENTRY % "")
+def test_plan_and_rank_say_how_far_a_search_is(place_here: Path) -> None:
+    path = write(place_here, ENTRY % "", run=HERE)
     call = CliRunner().invoke
-    before = call(cli, ["plan", str(path), "--out", str(place / "run")])
+    before = call(cli, ["plan", str(path), "--out", str(place_here / "run")])
     assert "cells: 2: 0 done" in before.output
     assert "weight_bytes = 100: 0 settings" in before.output
     run(path)
-    assert "level=30 gives 100" in call(cli, ["plan", str(path), "--out", str(place / "run")]).output
-    ranked = call(cli, ["rank", str(place / "run")])
+    assert "level=30 gives 100" in call(cli, ["plan", str(path), "--out", str(place_here / "run")]).output
+    ranked = call(cli, ["rank", str(place_here / "run")])
     assert ranked.exit_code == 0
     assert re.search(r"^dial +flat0 +weight_bytes = 100 +found +level=30 +100\b", ranked.output, re.MULTILINE)
-    assert "searches" in call(cli, ["rank", str(place / "run"), "--format", "markdown"]).output
-    powered = call(cli, ["power", str(place / "run")])
+    assert "searches" in call(cli, ["rank", str(place_here / "run"), "--format", "markdown"]).output
+    powered = call(cli, ["power", str(place_here / "run")])
     assert powered.exit_code == 0
-    for words in (["report", str(place / "run")], ["table", str(place / "run")]):
+    for words in (["report", str(place_here / "run")], ["table", str(place_here / "run")]):
         assert call(cli, words).exit_code == 0
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import psutil
 import pytest
 from dask_cluster import Cluster, Host, cluster_elsewhere
-from engine_bench import Bench, bench_in, contents, matrix
+from engine_bench import OURS, Bench, bench_in, contents, matrix
 from project import SUPPORT
 
 pytestmark = pytest.mark.thorough
@@ -248,12 +248,12 @@ def test_job_scripts_of_a_queue_bring_up_workers(bench: Bench, queue: str, monke
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(bench.site), str(SUPPORT), os.environ.get("PYTHONPATH", "")]))
     options = f"cores: 1, processes: 1, memory: 1GB, interface: lo, walltime: '00:10:00', {resources}"
     executor = f"{{use: dask, params: {{cluster: {queue}, options: {{{options}}}, shared_files: true}}}}"
-    plan = bench.plan(matrix(CODECS, "wandering, whole", f"workers: 2, executor: {executor}"))
-    assert bench.run(plan, "queued").statuses == {"ok": 8}
+    plan = bench.plan(matrix(OURS, "quality", f"workers: 2, executor: {executor}"))
+    assert bench.run(plan, "queued").statuses == {"ok": 2}
     scripts = [path.read_text() for path in kept.glob("*.sh")]
     assert len(scripts) == 2
     marker = {"slurm": "#SBATCH", "pbs": "#PBS"}[queue]
     assert all(marker in script and "cli.dask_worker" in script for script in scripts)
-    local = bench.plan(matrix(CODECS, "wandering, whole"))
+    local = bench.plan(matrix(OURS, "quality"))
     bench.run(local, "local")
     assert contents(bench.store("queued"), plan) == contents(bench.store("local"), local)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from engine_bench import FRAMES, HERE, Bench, bench_in, bench_without_processes, contents, grid, matrix
+from engine_bench import FRAMES, HERE, OURS, Bench, bench_in, bench_without_processes, contents, grid, matrix
 from project import SUPPORT
 
 import codecbench
@@ -23,8 +23,6 @@ from codecbench.core.engine.planning.model import Cell, CodingJob, Plan
 from codecbench.core.engine.running.progress import Progress, RunSummary
 from codecbench.core.engine.running.schedule import Schedule
 
-OURS = "{use: jpeg, params: {quality: {grid: [20, 80]}}}"
-"""Needs no hosts, of which each takes a second of processor time to begin."""
 STEPS = "{use: faulty, params: {step: {grid: [0, 1]}}}"
 MANY = matrix(STEPS, "wandering, whole, slow, {use: slow, params: {fault: again}}, alone")
 
