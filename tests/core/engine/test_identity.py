@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Literal
 
 import pytest
 from distributions import register
 from pydantic import Field
+from warm_command import run_warm
 
 from codecbench import Params
 from codecbench.core.engine.identity import canonical_json, digest, seed_from
@@ -109,8 +108,7 @@ class Place:
     def call(self, *words: str, status: int = 0) -> str:
         environment = {**os.environ, "PYTHONPATH": str(self.folder / "site"), "COLUMNS": "200"}
         environment["PYTHONDONTWRITEBYTECODE"] = "1"  # edits within a second would be missed
-        command = [sys.executable, "-m", "codecbench", *words]
-        done = subprocess.run(command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=120)
+        done = run_warm(words, self.folder, environment, 120)
         assert done.returncode == status, done.stdout + done.stderr
         assert "Traceback" not in done.stderr
         return done.stdout + done.stderr

@@ -21,7 +21,7 @@ import numpy as np
 import psutil
 import pytest
 from dask_cluster import cluster_elsewhere
-from engine_bench import Bench, bench_in, contents, grid, matrix, write_stack
+from engine_bench import OURS, Bench, bench_in, contents, grid, matrix, write_stack
 from project import SUPPORT
 from pydantic import ValidationError
 
@@ -56,7 +56,7 @@ def test_local_and_dask_runs_find_the_same(bench: Bench) -> None:
         assert bench.run(hanging, f"hanging {name}").statuses == {"timed_out": 2}
         hangs[name] = contents(bench.store(f"hanging {name}"), hanging)
     assert hangs["dask"] == hangs["local"]
-    codecs = f"{CODECS}, {grid('faulty', ['raise', 'segfault', 'noise'])}"
+    codecs = f"{OURS}, {grid('faulty', ['raise', 'segfault'])}"
     evaluators = "wandering, whole, alone"
     local = bench.plan(matrix(codecs, evaluators))
     bench.run(local, "local")
@@ -65,7 +65,7 @@ def test_local_and_dask_runs_find_the_same(bench: Bench) -> None:
     summary = bench.run(plan, "dask", listener=lambda one: order.append(one.cell) if one.cell else None)
     assert [cell.id for cell in plan.cells] == [cell.id for cell in local.cells]
     assert contents(bench.store("dask"), plan) == contents(bench.store("local"), local)
-    assert summary.statuses == {"ok": 20, "failed": 2, "crashed": 2}
+    assert summary.statuses == {"ok": 12, "failed": 2, "crashed": 2}
     alone = [bench.store("dask").read_record(cell.id) for cell in plan.cells if cell.exclusive]
     good = [record for record in alone if record.status == "ok"]
     assert len({record.worker["pid"] for record in good}) == 1, "exclusive cells go to one worker"
@@ -231,7 +231,7 @@ def _command(process: psutil.Process) -> list[str]:
 
 
 def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
-    local = bench.plan(matrix(CODECS, "wandering, whole"))
+    local = bench.plan(matrix(OURS, "quality, whole"))
     bench.run(local, "local")
     for name in ("here", "there"):
         (bench.folder / name).mkdir()
@@ -240,11 +240,11 @@ def test_workers_that_share_no_files_with_the_coordinator(bench: Bench) -> None:
     with cluster_elsewhere(bench.folder / "cluster", bench.site) as cluster:
         paths = f"{{{bench.folder}/here: {bench.folder}/there}}"
         run = on_dask(f'address: "{cluster.address}", paths: {paths}')
-        text = matrix(CODECS, "wandering, whole", run).replace("stack.npy", "here/stack.npy")
+        text = matrix(OURS, "quality, whole", run).replace("stack.npy", "here/stack.npy")
         plan = bench.plan(text)
         (bench.folder / "here").rename(bench.folder / "gone")
         summary = bench.run(plan, "dask")
-    assert summary.statuses == {"ok": 6}
+    assert summary.statuses == {"ok": 4}
     assert contents(bench.store("dask"), plan) == contents(bench.store("local"), local)
     assert not list((bench.folder / "cluster").rglob("*.bits"))
 
@@ -297,7 +297,7 @@ def test_many_workers_killed_at_random_change_nothing(bench: Bench) -> None:
 
 
 def test_a_killed_coordinator_resumes(bench: Bench) -> None:
-    plan = bench.plan(matrix(CODECS, "wandering, whole, slow, {use: slow, params: {fault: again}}", on_dask()))
+    plan = bench.plan(matrix(OURS, "quality, whole, slow, {use: slow, params: {fault: again}}", on_dask()))
     arguments = [SUPPORT / "run_driver.py", bench.folder / "matrix.yaml", bench.folder / "killed", bench.site]
     process = subprocess.Popen([sys.executable, *map(str, arguments)])
     deadline = time.monotonic() + 60
@@ -311,7 +311,7 @@ def test_a_killed_coordinator_resumes(bench: Bench) -> None:
     _, alive = psutil.wait_procs(children, timeout=20)
     assert not alive
     summary = bench.run(plan, "killed")
-    assert (summary.kept, summary.statuses) == (finished, {"ok": 12})
+    assert (summary.kept, summary.statuses) == (finished, {"ok": 8})
     bench.run(plan, "undisturbed")
     assert contents(bench.store("killed"), plan) == contents(bench.store("undisturbed"), plan)
 
