@@ -223,12 +223,12 @@ def test_a_run_that_cannot_write_says_so_and_the_next_one_completes_it(
     "size", [0, pytest.param(40, marks=pytest.mark.slow), pytest.param(200, marks=pytest.mark.slow)]
 )
 def test_a_run_on_a_disk_that_is_full_at_the_start_says_so(place: Place, tmp_path: Path, size: int) -> None:
-    done = place.call("run", "ours.yaml", "--out", str(tmp_path / "run"), most_bytes=size)
-    if size == 0:  # not even a temporary file can be made, which comes before the run folder
+    done = place.call("run", "tiny.yaml", "--out", str(tmp_path / "run"), most_bytes=size)
+    if size == 0:  # not even a temporary file of a host can be made, which comes before the run folder
         is_refused(done, "No usable temporary directory", "; make room in one of them, or set TMPDIR to a folder")
     else:
         is_refused(done, str(tmp_path / "run"), "File too large")
-    assert place.call("run", "ours.yaml", "--out", str(tmp_path / "run")).status == ExitStatus.SUCCESS
+    assert place.call("run", "tiny.yaml", "--out", str(tmp_path / "run")).status == ExitStatus.SUCCESS
 
 
 def test_no_room_for_temporary_files_is_told_before_any_worker_starts(place: Place, tmp_path: Path) -> None:
