@@ -2,8 +2,7 @@
 
 Quick are most checks at a codec's first example, and at the others those whose answer the setting changes most. Of
 codecs that differ in their library's function and settings alone, one has them; the checks that start processes or take
-many bitstreams apart, one codec of pictures and one of streams. Only `codecbench verify` makes these checks at further
-settings of codecs that are like another.
+many bitstreams apart, one codec of pictures and one of streams.
 """
 
 from __future__ import annotations
@@ -53,8 +52,6 @@ def _cases() -> Iterator[Any]:
                     else:
                         is_slow = not is_first
                     is_slow |= check.name in SLOW_CHECKS and name not in HAVE_SLOW_CHECKS
-                    if check.name in SLOW_CHECKS and name in ALIKE and not is_first:
-                        continue
                     marks = [pytest.mark.thorough] if is_slow else []
                     label = setting_label(name, setting).replace(" ", "-")
                     yield pytest.param(name, setting, check, id=f"{label}-{check.name}", marks=marks)
