@@ -71,10 +71,12 @@ def _say(line: str) -> None:
 
 def _list_sequences(plan: Plan) -> None:
     for entry in plan.sequences:
+        depth = ["depth"] if entry.has_depth else []
         camera = ["camera"] if entry.has_camera else []
         truth = ["ground truth"] if entry.has_ground_truth else []
-        layout = "gray" if entry.channels == 1 else "color"
-        _say(f"  {entry.name}: {', '.join([counted(entry.frames, 'frame'), layout, *camera, *truth])}")
+        _say(
+            f"  {entry.name}: {', '.join([counted(entry.frames, 'frame'), str(entry.layout), *depth, *camera, *truth])}"
+        )
         for note in entry.notes:
             _say(f"    {note}")
 

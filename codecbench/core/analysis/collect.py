@@ -292,7 +292,7 @@ def _lossless_cells(results: Iterable[CellResult]) -> Iterator[_Lossless]:
 def _doubt(cell: _Lossless, group: Iterable[_Lossless], *, beside_png: bool) -> str:
     """Say why a cell is implausibly small; empty if it is not."""
     codec, sequence = cell.result.cell.codec, cell.result.cell.sequence
-    if cell.bpp < _PLAIN * 8 * sequence.channels * cell.of_png:
+    if cell.bpp < _PLAIN * sequence.bits * sequence.channels * cell.of_png:
         return ""
     known = [other for other in group if other.of_png < 1 and not other.result.cell.codec.distribution]
     others = [other for other in known if other.result.cell.codec.name != codec.name]

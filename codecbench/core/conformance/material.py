@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -31,7 +32,7 @@ class Film:
 
     name: str
     """Name for reports."""
-    pictures: list[Image] = field(repr=False)
+    pictures: Sequence[Image] = field(repr=False)
     """Frames in order; those of a sequence may be views of one array."""
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.features import FeatureDecoder, FeatureEncoder, Features, FeatureSet
-from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.image import LAYOUTS, Image, Layout
 from codecbench.core.contracts.params import Configured, P
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.contracts.stream import Loss, Packet, Picture, StreamDecoder, StreamEncoder
@@ -54,6 +54,8 @@ class Capabilities:
 
     channels: tuple[int, ...] = (1, 3)
     """Image layouts that it takes: 1 gray, 3 RGB. Cells of other layouts are `unsupported`."""
+    bits: tuple[int, ...] = (8,)
+    """Bits of the samples that it takes: 8, 16 or both. Images of 16 bits are gray."""
     lossless: bool = False
     """Every setting returns the exact pixels. If that depends on parameters, override `is_lossless`."""
     counts_operations: bool = False
@@ -62,6 +64,11 @@ class Capabilities:
     """One instance may encode and decode from several threads at once."""
     partial_decoding: bool = False
     """`decode_partial` decodes bitstreams of which parts are missing."""
+
+    @property
+    def layouts(self) -> tuple[Layout, ...]:
+        """All layouts that it takes, in the order of LAYOUTS."""
+        return tuple(layout for layout in LAYOUTS if layout.channels in self.channels and layout.bits in self.bits)
 
 
 @dataclass(frozen=True)
@@ -224,7 +231,7 @@ class Codec(AnyCodec[P]):
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         """Decode a bitstream of any instance of this class, from the bytes alone.
 
-        Returns uint8 of the encoded image's shape. Raises BitstreamError for damaged or foreign bytes.
+        Returns an image of the encoded one's shape and dtype. Raises BitstreamError for damaged or foreign bytes.
         """
 
     def open_encoder(self, frame_rate_hz: float) -> StreamEncoder:

@@ -183,8 +183,10 @@ class Evaluator(Configured[P]):
     """All metrics that `evaluate` and `compare` may yield."""
     views: ClassVar[tuple[View, ...]] = ()
     """Charts that it offers beyond those that the metrics' roles imply."""
-    needs: ClassVar[frozenset[Literal["camera", "ground_truth"]]] = frozenset()
-    """What the sequence must have."""
+    needs: ClassVar[frozenset[Literal["camera", "ground_truth", "depth"]]] = frozenset()
+    """What the sequence must have; `depth`: its pixels are distances."""
+    bits: ClassVar[tuple[int, ...]] = (8,)
+    """Bits of the samples of frames that it understands; on others its cells are `unsupported`."""
     exclusive: ClassVar[bool] = False
     """Nothing else may run on the machine meanwhile."""
     kernels: ClassVar[tuple[str, ...]] = ()

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.image import Image, png_bytes
+from codecbench.core.contracts.image import Image, Layout, png_bytes
 from codecbench.core.contracts.params import Configured, P
 
 T = TypeVar("T")
@@ -96,6 +96,16 @@ class Origin:
     """Parameters of its dataset, as JSON types, that suit the files better than those given."""
 
 
+@dataclass(frozen=True)
+class Depth:
+    """What the pixels of a depth sequence mean: distances along the optical axis."""
+
+    unit_m: float
+    """Meters of a step: 0.001 for millimeters."""
+    unknown: int = 0
+    """Value of pixels whose distance is unknown."""
+
+
 class FrameSequence(ABC):
     """Frames in order, read one at a time, with the camera and the ground truth if known."""
 
@@ -107,6 +117,10 @@ class FrameSequence(ABC):
     """Nominal frame rate."""
     channels: int
     """1 gray, 3 RGB."""
+    bits: int = 8
+    """Bits of a sample, 8 or 16; frames of 16 bits are gray."""
+    depth: Depth | None = None
+    """What pixels mean if they are distances, which have 16 bits; None if they are intensities."""
     camera: Camera | None
     ground_truth: Trajectory | None
     fingerprint: str
@@ -120,6 +134,11 @@ class FrameSequence(ABC):
     """If its camera is wrong on purpose, the fingerprint of the sequence with the right camera.
 
     A run that has both judges nothing by this one."""
+
+    @property
+    def layout(self) -> Layout:
+        """Channels and bits of its frames."""
+        return Layout(self.channels, self.bits)
 
     def __len__(self) -> int:
         return len(self.timestamps_s)

@@ -26,6 +26,8 @@ class AdaptedSequence(FrameSequence):
         self.timestamps_s = source.timestamps_s
         self.frame_rate_hz = source.frame_rate_hz
         self.channels = source.channels
+        self.bits = source.bits
+        self.depth = source.depth
         self.camera = source.camera
         self.ground_truth = source.ground_truth
         self.notes = source.notes

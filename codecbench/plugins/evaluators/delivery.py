@@ -64,6 +64,7 @@ class DeliveryEvaluator(SequenceEvaluator[DeliveryParams]):
 
     name = "delivery"
     version = "1"
+    bits = (8, 16)
     params_type = DeliveryParams
     typical_ms_per_frame = 0.2
     views = (View("map", "Delivered frames and their age", note=_NOTE),)

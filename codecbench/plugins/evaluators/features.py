@@ -20,7 +20,7 @@ from pydantic import Field
 
 from codecbench import slam
 from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Context, Measurement, SequenceEvaluator
-from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.image import gray_from_image
 from codecbench.core.contracts.metric import Metric
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.view import KeypointOverlay
@@ -195,7 +195,7 @@ class Keypoints:
 class Detector(Protocol):
     """Detects keypoints; equal images give equal keypoints."""
 
-    def detect(self, gray: Image) -> Keypoints:
+    def detect(self, gray: NDArray[np.uint8]) -> Keypoints:
         """The keypoints of a gray image (height, width), uint8."""
 
 
@@ -206,7 +206,7 @@ class SlamDetector:
         self._options = slam.Options(features=keypoints, levels=LEVELS, scale_factor=SCALE_FACTOR)
         self._extractors: dict[tuple[int, ...], FeatureExtractor] = {}
 
-    def detect(self, gray: Image) -> Keypoints:
+    def detect(self, gray: NDArray[np.uint8]) -> Keypoints:
         features = self._extractor(gray.shape).extract(gray)
         return Keypoints(np.column_stack([features.pixels, features.octaves.astype(np.float64)]), features.descriptors)
 
@@ -225,7 +225,7 @@ class OpencvDetector:
     def __init__(self, keypoints: int) -> None:
         self._orb = cv2.ORB.create(keypoints, SCALE_FACTOR, LEVELS, edgeThreshold=OPENCV_BORDER_PX)
 
-    def detect(self, gray: Image) -> Keypoints:
+    def detect(self, gray: NDArray[np.uint8]) -> Keypoints:
         has_room = min(gray.shape) > 2 * OPENCV_BORDER_PX
         keypoints, descriptors = self._orb.detectAndCompute(gray, None) if has_room else ((), None)
         if not keypoints:

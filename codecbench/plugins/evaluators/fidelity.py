@@ -189,7 +189,9 @@ def _compare(
 
 
 def psnr_db(image: Image, other: Image) -> float:
-    """10 log10(255^2 / MSE) of two images of equal shape, the error averaged over pixels and channels alike.
+    """10 log10(peak^2 / MSE) of two images of equal shape and dtype, the error averaged over pixels and channels alike.
+
+    The peak is the largest value of the dtype: 255 or 65535.
 
     Infinite for identical images. The squared error is an integer; it is rounded because OpenCV's code for some
     processors takes its root and squares it again.
@@ -197,4 +199,4 @@ def psnr_db(image: Image, other: Image) -> float:
     squared_error = round(cv2.norm(image, other, cv2.NORM_L2SQR))
     if squared_error == 0:
         return math.inf
-    return 10.0 * math.log10(255.0**2 * image.size / squared_error)
+    return 10.0 * math.log10(float(np.iinfo(image.dtype).max) ** 2 * image.size / squared_error)

@@ -134,7 +134,7 @@ class Localization(SequenceEvaluator[LocalizationParams]):
             if sends_features:
                 return reference_map.localizer.features_of(backend.keypoints(coded.features(index)))
             decoded = coded.frame(index).decoded if pictures is None else pictures.image(index)
-            return None if decoded is None else reference_map.localizer.extract(decoded)
+            return None if decoded is None else reference_map.localizer.extract(np.asarray(decoded, np.uint8))
 
         for index in reference_map.predictions:
             features = None if delivery is not None and index not in read_at else receive(index)
@@ -149,7 +149,8 @@ _UNDELIVERED: Final[dict[Way, LocalizedPose | None]] = {"tracked": None, "reloca
 
 def _raw_poses(reference_map: ReferenceMap, frame: Frame, key: tuple[object, ...]) -> dict[Way, LocalizedPose | None]:
     return frame.cached(
-        (*key, "raw"), lambda image: reference_map.localize(reference_map.localizer.extract(image), frame.index)
+        (*key, "raw"),
+        lambda image: reference_map.localize(reference_map.localizer.extract(np.asarray(image, np.uint8)), frame.index),
     )
 
 

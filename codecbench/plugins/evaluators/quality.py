@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import ClassVar, Final
+
+import numpy as np
 
 from codecbench.core.contracts.evaluator import CodedFrame, CodedSequence, Context, Measurement, SequenceEvaluator
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
@@ -13,21 +15,26 @@ from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.sequence import Frame
 from codecbench.plugins.evaluators.fidelity import (
     MULTISCALE_SIDE,
+    PEAK,
     WINDOW_SIDE,
     multiscale_similarity,
     psnr_db,
     similarity,
 )
 
+_STEPS_OF_16_BITS: Final = 65535 / PEAK
+
 
 class Quality(SequenceEvaluator[NoParams]):
     """Rate, PSNR and structural similarity of every frame. docs/metrics.md defines each metric.
 
-    Feature codecs have a rate only, because no image is decoded.
+    Feature codecs have a rate only, because no image is decoded, and so have depth sequences: an error of a distance
+    means nothing as a share of the largest one that 16 bits can store.
     """
 
     name = "quality"
     version = "2"
+    bits = (8, 16)
     kernels = ("codecbench.plugins.evaluators.fidelity",)
     params_type = NoParams
     typical_ms_per_frame = 30.0
@@ -54,7 +61,7 @@ class Quality(SequenceEvaluator[NoParams]):
             quantity="below_png",
         ),
         Metric(
-            "psnr_gray_db", "dB", "higher", "10 log10(255^2 / MSE) of gray",
+            "psnr_gray_db", "dB", "higher", "10 log10(peak^2 / MSE) of gray, with a peak of 255, or 65535 of 16 bits",
             role="quality", headline=True, label="PSNR", column_header="PSNR dB", enough=40.0,
         ),
         Metric(
@@ -74,11 +81,15 @@ class Quality(SequenceEvaluator[NoParams]):
     )  # fmt: skip
 
     def evaluate(self, coded: CodedSequence, context: Context) -> Iterator[Measurement]:
-        sequence, sends_features = coded.sequence, coded.codec.carries == "features"
+        sequence, missing = coded.sequence, None
+        if coded.codec.carries == "features":
+            missing = "the codec sends features, so no image is decoded"
+        elif sequence.depth is not None:
+            missing = "the pixels are distances, whose errors are lengths"
         for index in range(len(coded)):
-            frame = None if sends_features else coded.frame(index)
+            frame = None if missing else coded.frame(index)
             original = sequence.read(index) if frame is None else frame.original
-            fidelity = _no_fidelity(original.image) if frame is None else _fidelity(frame)
+            fidelity = _no_fidelity(original.image, missing) if frame is None else _fidelity(frame)
             for name, value, reason in (*_rate(original, coded.size_bytes(index), sequence.frame_rate_hz), *fidelity):
                 yield Measurement(name, value, frame=index, reason=reason)
 
@@ -92,10 +103,10 @@ def _rate(original: Frame, size: int, frame_rate_hz: float) -> Iterator[tuple[st
     yield "cr_percent", 100.0 * (1.0 - size / original.png_size_bytes), None
 
 
-def _no_fidelity(image: Image) -> Iterator[tuple[str, float, str | None]]:
+def _no_fidelity(image: Image, reason: str | None) -> Iterator[tuple[str, float, str | None]]:
     for name in ("psnr_gray_db", "psnr_rgb_db", "ssim_matlab", "ssim_wang", "ms_ssim"):
         if name != "psnr_rgb_db" or channel_count(image) == 3:
-            yield name, math.nan, "the codec sends features, so no image is decoded"
+            yield name, math.nan, reason
 
 
 def _fidelity(coded: CodedFrame) -> Iterator[tuple[str, float, str | None]]:
@@ -104,6 +115,8 @@ def _fidelity(coded: CodedFrame) -> Iterator[tuple[str, float, str | None]]:
     yield "psnr_gray_db", psnr_db(gray, decoded_gray), None
     if channel_count(original) == 3:
         yield "psnr_rgb_db", psnr_db(original, decoded), None
+    if gray.dtype == np.uint16:  # SSIM depends on values only as shares of the peak
+        gray, decoded_gray = (np.ascontiguousarray(samples / _STEPS_OF_16_BITS) for samples in (gray, decoded_gray))
     finest = similarity(gray, decoded_gray)
     yield "ssim_matlab", finest.full, None
     yield "ssim_wang", finest.inner, _reason_too_small(finest.inner, gray.shape, WINDOW_SIDE)

@@ -37,6 +37,7 @@ class Stream(SequenceEvaluator[StreamParams]):
 
     name = "stream"
     version = "1"
+    bits = (8, 16)
     params_type = StreamParams
     typical_ms_per_frame = 15.0
     metrics: ClassVar[tuple[Metric, ...]] = (
@@ -209,4 +210,6 @@ class _Joiner:
 def _is_whole(image: Image | None, uninterrupted: Image, whole_db: float) -> bool:
     if image is None or image.shape != uninterrupted.shape:
         return False
-    return np.array_equal(image, uninterrupted) or psnr_db(uninterrupted, image) >= whole_db
+    if np.array_equal(image, uninterrupted):
+        return True
+    return image.dtype == np.uint8 and psnr_db(uninterrupted, image) >= whole_db  # 16 bits may be depth: no PSNR fits

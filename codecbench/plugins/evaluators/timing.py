@@ -85,6 +85,7 @@ class Timing(CodecEvaluator[TimingParams]):
 
     name = "timing"
     version = "3"
+    bits = (8, 16)
     params_type = TimingParams
     exclusive = True
     metrics: ClassVar[tuple[Metric, ...]] = (

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numba.core import event
@@ -156,7 +156,7 @@ class _Clock:
 
 def _keyframe_source(
     keyframe_image: Callable[[int], Image] | None, index: int, clock: _Clock
-) -> Callable[[Image], Image] | None:
+) -> Callable[[Any], Any] | None:
     """A source of the image that mapping sees, in place of the tracked one, if this frame becomes a keyframe."""
     if keyframe_image is None:
         return None

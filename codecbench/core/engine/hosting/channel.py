@@ -69,8 +69,8 @@ An empty kind stands for a plain value.
 
 FACTS: Final[dict[str, tuple[str, ...]]] = {
     "codec": ("name", "version", "capabilities", "carries", "stateless"),
-    "sequence": ("name", "timestamps_s", "frame_rate_hz", "channels", "camera", "ground_truth", "fingerprint", "notes",
-                 "origin", "as_calibrated"),
+    "sequence": ("name", "timestamps_s", "frame_rate_hz", "channels", "bits", "depth", "camera", "ground_truth",
+                 "fingerprint", "notes", "origin", "as_calibrated"),
     "coded": ("packets",),
     "slam_backend": ("name", "architectures"),
     "link": ("name", "delay_s", "keeps_order", "queue"),

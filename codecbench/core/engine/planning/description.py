@@ -15,8 +15,9 @@ from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import ParamsError, PluginError, Unsupported
 from codecbench.core.contracts.evaluator import CodecEvaluator
 from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.image import LAYOUTS
 from codecbench.core.contracts.params import Params
-from codecbench.core.contracts.sequence import FrameSequence
+from codecbench.core.contracts.sequence import Depth, FrameSequence
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.identity import canonical_json
 from codecbench.core.engine.planning.declared import codec_declaration, evaluator_declaration
@@ -29,6 +30,8 @@ _CONSTRUCTED: Final = ("codec", "evaluator", "slam_backend", "executor", "link")
 _MOST_REPEATS: Final = 100_000
 _LONGEST_NAME: Final = 100
 _MOST_NOTES: Final = 20
+_CHANNELS: Final = (1, 3)
+_BITS: Final = (8, 16)
 
 
 class InvalidParams(Exception):
@@ -75,8 +78,10 @@ class Description:
     """Why the plugin cannot be instantiated here, or None."""
     declared: dict[str, Any] = field(default_factory=dict)
     """See `planning.declared`."""
-    channels: list[int] = field(default_factory=list)
-    """Channel counts that a codec accepts."""
+    layouts: list[list[int]] = field(default_factory=list)
+    """Layouts that a codec accepts: channels and bits of each."""
+    bits: list[int] = field(default_factory=list)
+    """Bits of the samples that an evaluator reads."""
     needs: list[str] = field(default_factory=list)
     exclusive: bool = False
     runs_codec: bool = False
@@ -137,7 +142,7 @@ def description_fields(
         return {**fields, **_evaluator(instance, params)}
     fields |= _identities(params, [params.identity()])
     if kind == "codec":
-        fields |= {"declared": codec_declaration(instance), "channels": _channels(instance)}
+        fields |= {"declared": codec_declaration(instance), "layouts": _layouts(instance)}
     return fields
 
 
@@ -151,6 +156,7 @@ def _evaluator(evaluator: Any, params: Params) -> dict[str, Any]:
         **_identities(params, [evaluator.repeat_identity(repeat) for repeat in range(evaluator.repeats)]),
         "declared": evaluator_declaration(evaluator),
         "needs": sorted(evaluator.needs),
+        "bits": _numbers(f"{type(evaluator).__name__}.bits", evaluator.bits, _BITS),
         "exclusive": bool(evaluator.exclusive),
         "runs_codec": isinstance(evaluator, CodecEvaluator),
         "uses": [(use.kind, use.name, use.params) for use in evaluator.uses],
@@ -166,11 +172,21 @@ def _identities(params: Params, identities: list[dict[str, Any]]) -> dict[str, A
     return {"identities": [without_defaults(identity, params) for identity in identities], "inert": inert}
 
 
-def _channels(codec: Any) -> list[int]:
-    channels = [int(count) for count in codec.capabilities.channels]
-    if not channels or not {1, 3}.issuperset(channels):
-        raise PluginError(f"{type(codec).__name__}.capabilities.channels is {channels}; it must contain 1, 3 or both")
-    return channels
+def _layouts(codec: Any) -> list[list[int]]:
+    where, capabilities = f"{type(codec).__name__}.capabilities", codec.capabilities
+    _numbers(f"{where}.channels", capabilities.channels, _CHANNELS)
+    _numbers(f"{where}.bits", capabilities.bits, _BITS)
+    if not capabilities.layouts:
+        raise PluginError(f"{where} accepts no frames: images of 16 bits are gray; add 1 to channels or 8 to bits")
+    return [list(layout) for layout in capabilities.layouts]
+
+
+def _numbers(where: str, numbers: Any, allowed: tuple[int, int]) -> list[int]:
+    """Return numbers as a list. Raises PluginError if it is empty or has others than the two that are allowed."""
+    found = [int(number) for number in numbers]
+    if not found or not set(allowed).issuperset(found):
+        raise PluginError(f"{where} is {found}; it must contain {allowed[0]}, {allowed[1]} or both")
+    return found
 
 
 def _version(cls: Any) -> str:
@@ -211,6 +227,8 @@ def describe_sequence(registry: Registry, name: str, params: dict[str, Any]) -> 
         "has_ground_truth": sequence.ground_truth is not None,
         "notes": _notes(sequence),
         "as_calibrated": clean_line(str(sequence.as_calibrated)),
+        "bits": int(sequence.bits),
+        "has_depth": sequence.depth is not None,
         "frame_rate_hz": rate_hz if math.isfinite(rate_hz := float(sequence.frame_rate_hz)) else 0.0,
     }
 
@@ -227,13 +245,28 @@ def _check_frames(sequence: FrameSequence) -> None:
     title, frames = type(sequence).__name__, len(sequence)
     if frames == 0:
         raise PluginError(f"{title} has no frames")
-    if sequence.channels not in (1, 3):
+    if sequence.channels not in _CHANNELS:
         raise PluginError(f"{title}.channels is {sequence.channels!r}; it must be 1 or 3")
+    if sequence.layout not in LAYOUTS:
+        fault = f"{title} has {sequence.channels!r} channel(s) of {sequence.bits!r} bits"
+        raise PluginError(f"{fault}; bits must be 8, or 16 with one channel")
+    _check_depth(title, sequence)
     stamps_s = np.asarray(sequence.timestamps_s, np.float64)
     if stamps_s.shape != (frames,):
         raise PluginError(f"{title}.timestamps_s has shape {stamps_s.shape}; there are {frames} frames")
     if not (np.isfinite(stamps_s).all() and (np.diff(stamps_s) > 0).all()):
         raise PluginError(f"{title}.timestamps_s are not finite and strictly increasing")
+
+
+def _check_depth(title: str, sequence: FrameSequence) -> None:
+    """Raise PluginError if what a sequence says of its pixels is not valid."""
+    depth = sequence.depth
+    if depth is None:
+        return
+    if type(depth) is not Depth or not 0.0 < depth.unit_m < math.inf or not 0 <= depth.unknown < 1 << 16:
+        raise PluginError(f"{title}.depth is {depth!r}; it must be a Depth of a positive unit and a 16-bit value")
+    if sequence.bits != 16:
+        raise PluginError(f"{title} has depth of {sequence.bits} bits; depth has 16")
 
 
 def without_defaults(identity: dict[str, Any], params: Params) -> dict[str, Any]:

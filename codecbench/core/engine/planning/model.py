@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AliasChoices, Field, TypeAdapter
 
 from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.image import Layout
 from codecbench.core.engine.text import clean_line, clean_text, clean_value
 
 
@@ -67,6 +68,14 @@ class SequenceEntry:
     """As its dataset declares, see `FrameSequence`."""
     frame_rate_hz: float = 0.0
     """Nominal; 0 if unknown."""
+    bits: int = 8
+    has_depth: bool = False
+    """Whether its pixels are distances."""
+
+    @property
+    def layout(self) -> Layout:
+        """Channels and bits of its frames."""
+        return Layout(self.channels, self.bits)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 from codecbench.core.contracts.errors import CodecbenchError, PluginError, Unsupported
 from codecbench.core.contracts.hooks import Kind
+from codecbench.core.contracts.image import Layout
 from codecbench.core.engine.hosting.host import PluginFault
 from codecbench.core.engine.identity import digest, seed_from
 from codecbench.core.engine.planning.description import (
@@ -266,11 +267,15 @@ def _unsupported(sequence: SequenceEntry, codec: _Side, evaluator: _Side) -> str
         return codec.missing
     if evaluator.description is None:
         return evaluator.missing
-    allowed = codec.description.channels
-    if sequence.channels not in allowed:
-        accepted = " or ".join("gray" if count == 1 else "color" for count in allowed)
-        channels = f"{sequence.name} has {sequence.channels} channel(s)"
-        return f"codec {codec.setting.name} accepts {accepted} frames; {channels}"
+    layout = sequence.layout
+    if list(layout) not in codec.description.layouts:
+        accepted = " or ".join(str(Layout(*allowed)) for allowed in codec.description.layouts)
+        return f"codec {codec.setting.name} accepts {accepted} frames; those of {sequence.name} are {layout}"
+    if layout.bits not in evaluator.description.bits:
+        accepted = " or ".join(map(str, evaluator.description.bits))
+        return f"evaluator {evaluator.setting.name} reads {accepted}-bit frames; those of {sequence.name} are {layout}"
+    if "depth" in evaluator.description.needs and not sequence.has_depth:
+        return f"evaluator {evaluator.setting.name} needs depth; the pixels of {sequence.name} are intensities"
     if "camera" in evaluator.description.needs and not sequence.has_camera:
         return f"evaluator {evaluator.setting.name} needs a calibrated camera; {sequence.name} has none"
     if "ground_truth" in evaluator.description.needs and not sequence.has_ground_truth:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.image import check_image
+from codecbench.core.contracts.image import Layout, check_image
 from codecbench.core.contracts.sequence import Frame, FrameSequence
 
 MOST_BYTES = 128 << 20
@@ -17,11 +17,11 @@ def cache_limit_bytes(memory_mb: int) -> int:
     return min(MOST_BYTES, (memory_mb << 20) // 4)
 
 
-def check_frame(frame: object, channels: int) -> Frame:
-    """Return `frame` after checking that it is a Frame with an image of `channels` channels."""
+def check_frame(frame: object, layout: Layout) -> Frame:
+    """Return `frame` after checking that it is a Frame with an image of this layout."""
     if not isinstance(frame, Frame):
         raise DatasetError(f"read returned {type(frame).__name__}; it must return a Frame")
-    check_image(frame.image, (channels,))
+    check_image(frame.image, (layout.channels,), (layout.bits,))
     return frame
 
 
@@ -42,7 +42,7 @@ class FrameCache:
         frames = self._frames.setdefault(sequence.fingerprint, {})
         frame = frames.get(index)
         if frame is None:
-            frame = check_frame(sequence.read(index), sequence.channels)
+            frame = check_frame(sequence.read(index), Layout(sequence.channels, sequence.bits))
             if not self._make_room(frame.image.nbytes, sequence.fingerprint):
                 return frame
             frames[index] = frame
@@ -66,6 +66,8 @@ class CachedSequence(FrameSequence):
         self.timestamps_s = source.timestamps_s
         self.frame_rate_hz = source.frame_rate_hz
         self.channels = source.channels
+        self.bits = source.bits
+        self.depth = source.depth
         self.camera = source.camera
         self.ground_truth = source.ground_truth
         self.fingerprint = source.fingerprint

@@ -51,7 +51,7 @@ def planes_from_image(image: Image, color: Color, trace: Trace = NULL_TRACE) -> 
     A gray image is one plane for every `color`. The planes may share memory with `image`, so they are read-only.
     """
     if image.ndim == 2:
-        return [image]
+        return [np.asarray(image, np.uint8)]
     height, width = image.shape[:2]
     planes = [np.empty(shape, np.uint8) for shape in plane_shapes(height, width, color)]
     with trace.stage("color_transform") as run:

@@ -96,7 +96,7 @@ def _rgb(samples: Any, layout: _Layout, where: str) -> Image:
         raise DatasetError(f"{where}: an image of {samples.shape} cannot be converted: {error.err}") from error
 
 
-def eight_bits(samples: NDArray[Any], bits: int) -> Image:
+def eight_bits(samples: NDArray[Any], bits: int) -> NDArray[np.uint8]:
     """Keep the upper 8 of the `bits` bits that samples use; larger samples become 255."""
     return np.asarray(np.minimum(samples >> (bits - 8), 255), dtype=np.uint8)
 

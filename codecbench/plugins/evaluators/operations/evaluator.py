@@ -89,6 +89,7 @@ class Operations(CodecEvaluator[OperationsParams]):
 
     name = "operations"
     version = "2"
+    bits = (8, 16)
     params_type = OperationsParams
     metrics: ClassVar[tuple[Metric, ...]] = tuple(
         _metric(family, name) for family in _FAMILIES for name in _names(family)

@@ -280,8 +280,8 @@ def check_decoding(decoded: object, original: Image) -> Image:
     if not isinstance(decoded, np.ndarray):
         raise CodingError(f"decode returned {type(decoded).__name__}; a decoded frame is a numpy array")
     image = np.ascontiguousarray(decoded)  # first, because an array subclass may change here
-    if image.dtype != np.uint8:
-        raise CodingError(f"decode returned dtype {image.dtype}; a decoded frame is uint8")
+    if image.dtype != original.dtype:
+        raise CodingError(f"decode returned dtype {image.dtype}; the frame has {original.dtype}")
     if image.shape != original.shape:
         raise CodingError(f"decode returned shape {image.shape}; the frame has {original.shape}")
     return image if image.flags.writeable else image.copy()  # numba recompiles for read-only arrays
