@@ -138,7 +138,7 @@ class _Report:
                     {
                         "name": result.check.name,
                         "proves": result.check.proves,
-                        "layout": result.layout,
+                        "layout": str(result.layout),
                         "status": result.status,
                         "reason": result.reason,
                     }

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from codecbench.core.conformance.settings import setting_from_text, setting_label
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import CodecbenchError, Unsupported
-from codecbench.core.contracts.image import Image, gray_from_image
+from codecbench.core.contracts.image import Image, Layout, gray_from_image
 from codecbench.core.counting.trace import CountingTrace
 from codecbench.core.engine.plugins.registry import installed, loads
 from codecbench.plugins.evaluators.fidelity import psnr_db
@@ -83,8 +83,12 @@ def codec_cases(text: str) -> list[CodecCase]:
 
 
 def _photograph(cls: type[Codec[Any]]) -> Image:
-    """Return a 640x480 photograph, in color if the codec accepts color."""
+    """Return a 640x480 photograph, in color if the codec accepts color; if it accepts 16 bits only, as if of depth."""
     photograph = skimage.data.astronaut()  # type: ignore[no-untyped-call]
     image = np.asarray(cv2.resize(photograph, (640, 640), interpolation=cv2.INTER_CUBIC), np.uint8)[80:560]
     image = np.ascontiguousarray(image)
-    return image if 3 in cls.capabilities.channels else gray_from_image(image)
+    layouts = cls.capabilities.layouts
+    if Layout(3) in layouts:
+        return image
+    gray: Image = gray_from_image(image)
+    return gray if Layout(1) in layouts else 500 + 16 * gray.astype(np.uint16)

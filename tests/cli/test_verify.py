@@ -243,7 +243,7 @@ def test_a_corpus_is_all_that_its_manifest_says(corpus: Path) -> None:
         assert hashlib.sha256((corpus / entry.file).read_bytes()).hexdigest() == entry.bitstream_sha256
     lossless = [entry for entry in entries if entry.codec == "raw"]
     for entry in lossless:
-        picture = integer_image(entry.seed, *entry.shape)
+        picture = integer_image(entry.seed, *entry.shape, entry.bits)
         head = f"uint8 {'x'.join(map(str, picture.shape))}\n".encode()
         assert hashlib.sha256(head + picture.tobytes()).hexdigest() == entry.pixels_sha256
 
@@ -343,7 +343,12 @@ def test_no_manifest_is_an_error(tmp_path: Path) -> None:
         read_manifest(tmp_path)
 
 
-DIGESTS = {(1, 1, 1): "c4694f2e93d5c4e7", (17, 31, 1): "e958d0ab06469fc5", (88, 120, 3): "1bf748e1620a5d5f"}
+DIGESTS = {
+    (1, 1, 1): "c4694f2e93d5c4e7",
+    (17, 31, 1): "e958d0ab06469fc5",
+    (88, 120, 3): "1bf748e1620a5d5f",
+    (17, 31, 1, 16): "af4a74905bc46b1e",
+}
 
 
 def test_pictures_are_the_same_on_every_machine() -> None:

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from codecbench import BitstreamError, Capabilities, Fragment, Image, Params, PartialImage
+from codecbench.core.contracts.image import check_image
 from codecbench.plugins.codecs.raw import Raw
 
 
@@ -28,6 +29,24 @@ class _Broken(Raw):
     """Starts as the raw codec, whose bitstream begins with 13 bytes of header and ends with 4 of checksum."""
 
     params_type = OffsetParams
+    capabilities = Capabilities(lossless=True)
+
+
+class KeepsEightBits(_Broken):
+    """Codes the upper half of 16 bits."""
+
+    capabilities = Capabilities((1,), bits=(16,), lossless=True)
+
+    def encode(self, image: Image, **_: Any) -> bytes:
+        return super().encode((check_image(image, (1,), (16,)) >> 8).astype(np.uint8))
+
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        return super().decode(bitstream).astype(np.uint16) << 8
+
+
+class ReturnsEightBits(KeepsEightBits):
+    def decode(self, bitstream: bytes, **_: Any) -> Image:
+        return Raw.decode(self, bitstream)
 
 
 class KeepsTheImage(_Broken):
@@ -276,6 +295,8 @@ BROKEN: dict[type[Any], str] = {
     DiffersByProcess: "deterministic",
     WritesIntoItsInput: "untouched",
     LosesARow: "shape",
+    KeepsEightBits: "lossless",
+    ReturnsEightBits: "shape",
     WrapsRound: "range",
     ReturnsFloats: "shape",
     PreparesAnotherSetting: "prepared",

@@ -39,13 +39,13 @@ from codecbench.core.conformance.settings import other_settings
 from codecbench.core.contracts.codec import AnyCodec, Decoded
 from codecbench.core.contracts.errors import ImageError
 from codecbench.core.contracts.features import ANGLE_TOLERANCE_RAD, Features
-from codecbench.core.contracts.image import Image, channel_count
+from codecbench.core.contracts.image import LAYOUTS, Image, layout_of
 from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.stream import Packet, is_recovery
 from codecbench.core.counting.trace import CountingTrace
 
 _ACROSS: Final = 192
-"""Difference of samples that counts as wrapped: three quarters of their range."""
+"""Difference of 8-bit samples that counts as wrapped: three quarters of their range."""
 _LENGTHS: Final = (1, 2, 5)
 _SHARED: Final = 6
 _SHARED_OF_LONG: Final = 100
@@ -91,7 +91,7 @@ def packets_are_bytes(codec_class: CodecClass, params: Params, films: Sequence[F
 def no_frame_is_lost_or_doubled(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
     """Run sessions of several lengths, to end them with different numbers of frames held back; one is longer."""
     lengths = [(film, length) for film in films for length in (*_LENGTHS, len(film.pictures))]
-    longest = long_sequence(channel_count(films[0].pictures[0]))
+    longest = long_sequence(layout_of(films[0].pictures[0]))
     for film, length in [*lengths, (longest, len(longest.pictures))]:
         codec = codec_class(params)
         packets = packets_of(codec, film.pictures[:length])
@@ -108,13 +108,13 @@ def shape_and_type_return(codec_class: CodecClass, params: Params, films: Sequen
     codec = codec_class(params)
     for film, packets in encode_films(codec, films):
         where = f"decoding {film.name}"
-        allowed = {shape := film.pictures[0].shape}
+        dtype, allowed = film.pictures[0].dtype, {shape := film.pictures[0].shape}
         if "gray" in (getattr(params, "color", None), getattr(params, "colour", None)):  # asks for it explicitly
             allowed.add(shape[:2])
         for image in whole_contents(where, decoded_of(codec, packets)).values():
-            if not isinstance(image, np.ndarray) or image.dtype != np.uint8:
+            if not isinstance(image, np.ndarray) or image.dtype != dtype:
                 got = f"{type(image).__name__} {getattr(image, 'dtype', '')}"
-                raise ConformanceFailure(where, got, "a uint8 array")
+                raise ConformanceFailure(where, got, f"a {dtype} array")
             if image.shape not in allowed:
                 raise ConformanceFailure(where, f"shape {image.shape}", f"shape {shape}")
             if not image.flags.writeable or not image.flags.c_contiguous:
@@ -287,7 +287,7 @@ def one_in_gives_one_out(codec_class: CodecClass, params: Params, films: Sequenc
     codec = codec_class(params)
     if not codec.is_low_delay():
         raise NotClaimed("this setting does not claim low delay")
-    for film in (*films, long_sequence(channel_count(films[0].pictures[0]))):
+    for film in (*films, long_sequence(layout_of(films[0].pictures[0]))):
         encoder, decoder = codec.open_encoder(FRAME_RATE_HZ), codec.open_decoder()
         for frame, picture in enumerate(film.pictures):
             where = f"{film.name}, push of frame {frame}"
@@ -303,9 +303,9 @@ def one_in_gives_one_out(codec_class: CodecClass, params: Params, films: Sequenc
 
 def what_was_sent_is_final(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
     """Check that sent packets do not depend on later frames, not even on those next to them in memory."""
-    channels = channel_count(films[0].pictures[0])
-    futures = [(*pair, _SHARED) for pair in zip(films, moving_pictures(channels, seed=2), strict=True)]
-    for film, other, shared in [*futures, (long_sequence(channels), long_sequence(channels, 4), _SHARED_OF_LONG)]:
+    layout = layout_of(films[0].pictures[0])
+    futures = [(*pair, _SHARED) for pair in zip(films, moving_pictures(layout, seed=2), strict=True)]
+    for film, other, shared in [*futures, (long_sequence(layout), long_sequence(layout, 4), _SHARED_OF_LONG)]:
         original = np.stack(film.pictures)
         variant = np.stack([*film.pictures[:shared], *other.pictures[shared:]])
         left, right = (
@@ -362,29 +362,30 @@ def _sorted_features(features: Features) -> Features:
 def samples_stop_at_black_and_white(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
     """Check that no decoded sample wraps around to the other end of the range."""
     codec = codec_class(params)
-    for film, packets in encode_films(codec, saturated_images(channel_count(films[0].pictures[0]))):
+    for film, packets in encode_films(codec, saturated_images(layout_of(films[0].pictures[0]))):
         original = film.pictures[0]
         decoded = whole_contents(f"decoding {film.name}", decoded_of(codec, packets))[0]
         if decoded.shape != original.shape:  # converted to gray, which check `shape` allows if a parameter asks for it
             continue
-        wrapped = _wrapped_samples(decoded.astype(np.int16), original.astype(np.int16))
+        wrapped = _wrapped_samples(decoded.astype(np.int32), original.astype(np.int32), np.iinfo(original.dtype).max)
         if wrapped.any():
             index = tuple(int(i) for i in np.argwhere(wrapped)[0])
             got = f"{decoded[index]} at {index}, far from its neighbor; {np.count_nonzero(wrapped)} such samples"
             raise ConformanceFailure(f"decoding {film.name}", got, f"about {original[index]}")
 
 
-def _wrapped_samples(decoded: Any, original: Any) -> Any:
+def _wrapped_samples(decoded: Any, original: Any, white: int) -> Any:
     """Mark samples at the wrong end of the range next to one that is not, where the original has no edge.
 
     An error alone proves nothing: a coarse setting may smear black over white, but smoothly.
     """
-    wrong = np.abs(decoded - original) > _ACROSS
+    across = _ACROSS * (white // 255)
+    wrong = np.abs(decoded - original) > across
     beside = np.zeros_like(wrong)
     for axis in (0, 1):
         flat = np.diff(original, axis=axis) == 0
         flat = flat if flat.ndim == 2 else flat.all(axis=2, keepdims=True)  # color converted to gray mixes its channels
-        jump = (np.abs(np.diff(decoded, axis=axis)) > _ACROSS) & flat
+        jump = (np.abs(np.diff(decoded, axis=axis)) > across) & flat
         before, after = np.zeros_like(wrong), np.zeros_like(wrong)
         np.moveaxis(before, axis, 0)[:-1] = np.moveaxis(jump, axis, 0)
         np.moveaxis(after, axis, 0)[1:] = np.moveaxis(jump, axis, 0)
@@ -409,7 +410,7 @@ def bad_images_are_refused(codec_class: CodecClass, params: Params, films: Seque
 
 def _bad_images(codec_class: CodecClass, image: Image) -> Iterator[tuple[str, list[Any]]]:
     """Yield names and frames to push, of which the last must be refused. image: a valid one."""
-    yield "uint16", [np.zeros((8, 8), np.uint16)]
+    yield "16-bit color", [np.zeros((8, 8, 3), np.uint16)]
     yield "float64", [np.zeros((8, 8))]
     yield "bool", [np.zeros((8, 8), np.bool_)]
     yield "four channels", [np.zeros((8, 8, 4), np.uint8)]
@@ -418,13 +419,16 @@ def _bad_images(codec_class: CodecClass, image: Image) -> Iterator[tuple[str, li
     yield "no rows", [np.zeros((0, 8), np.uint8)]
     yield "no columns", [np.zeros((8, 0, 3), np.uint8)]
     yield "a list", [[[0, 1], [2, 3]]]
-    for layout, shape in ((1, (8, 8)), (3, (8, 8, 3))):
-        if layout not in codec_class.capabilities.channels:
-            yield f"{layout} channel(s), not in capabilities", [np.zeros(shape, np.uint8)]
+    taken = codec_class.capabilities.layouts
+    for layout in LAYOUTS:
+        if layout not in taken:
+            shape = (8, 8) if layout.channels == 1 else (8, 8, 3)
+            yield f"{layout}, not in capabilities", [np.zeros(shape, f"uint{layout.bits}")]
     if codec_class.carries == "pictures" and not codec_class.stateless:
         yield "another size", [image, np.ascontiguousarray(image[:-2])]
         gray_or_color = image[..., None].repeat(3, axis=2) if image.ndim == 2 else np.ascontiguousarray(image[..., 0])
         yield "another layout", [image, gray_or_color]
+        yield "other bits", [image, image.astype(np.uint16 if image.dtype == np.uint8 else np.uint8)]
 
 
 def another_process_encodes_alike(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:

@@ -25,7 +25,7 @@ from codecbench.core.conformance.material import GENERATOR, integer_image
 from codecbench.core.conformance.sandbox import Reply, Verb, sandbox
 from codecbench.core.contracts.codec import Codec
 from codecbench.core.contracts.errors import PluginError, StoreError, Unsupported
-from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.image import Image, Layout
 from codecbench.core.contracts.params import Params
 from codecbench.core.engine.identity import json_from_bytes
 from codecbench.core.engine.storage.atomic import write_file
@@ -58,6 +58,8 @@ class Entry:
     bitstream_sha256: str
     pixels_sha256: str
     """Hash of the decoded image, as `pixels_sha256` computes it."""
+    bits: int = 8
+    """Bits of the image's samples."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,9 @@ Maker = Callable[[Sequence[Entry]], list[tuple[Entry, bytes]]]
 
 
 def pixels_sha256(pixels: Image) -> str:
-    """Return the hash of an image's shape and its samples, row by row."""
+    """Return the hash of an image's dtype, its shape and its samples, row by row."""
     shape = "x".join(map(str, pixels.shape))
-    return hashlib.sha256(f"uint8 {shape}\n".encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
+    return hashlib.sha256(f"{pixels.dtype} {shape}\n".encode() + np.ascontiguousarray(pixels).tobytes()).hexdigest()
 
 
 def write_bitstreams(folder: Path, makers: Sequence[Maker], written_by: str) -> list[Entry]:
@@ -115,13 +117,11 @@ def coded_pictures(codec_class: CodecClass, params: Params, earlier: Sequence[En
     first = sum(entry.codec == codec.name for entry in earlier)
     bitstreams: list[tuple[Entry, bytes]] = []
     for seed, size in enumerate(_SIZES):
-        for channels in codec.capabilities.channels:
-            shape = (*size, channels)
-            reply = _ask(codec, "encode", integer_image(seed, *shape))
+        for layout in codec.capabilities.layouts:
+            reply = _ask(codec, "encode", integer_image(seed, *size, *layout))
             if reply.status != "unsupported":
-                bitstreams.append(
-                    _new_entry(f"{codec.name}/{first + len(bitstreams):03}.bin", codec, seed, shape, reply)
-                )
+                file = f"{codec.name}/{first + len(bitstreams):03}.bin"
+                bitstreams.append(_new_entry(file, codec, seed, size, layout, reply))
     return bitstreams
 
 
@@ -136,11 +136,11 @@ def _call_codec(codec_class: CodecClass, params: Params, verb: Verb, argument: A
 
 
 def _new_entry(
-    file: str, codec: Codec[Any], seed: int, shape: tuple[int, int, int], encoded: Reply
+    file: str, codec: Codec[Any], seed: int, size: tuple[int, int], layout: Layout, encoded: Reply
 ) -> tuple[Entry, bytes]:
     decoded = _ask(codec, "decode", encoded.value) if encoded.status == "done" else encoded
     if decoded.status != "done":
-        raise PluginError(f"{codec.name}, image {seed} of shape {shape}: {decoded.status}: {decoded.reason}")
+        raise PluginError(f"{codec.name}, image {seed} of {size}, {layout}: {decoded.status}: {decoded.reason}")
     bitstream: bytes = encoded.value
     entry = Entry(
         file=file,
@@ -150,7 +150,8 @@ def _new_entry(
         params=codec.params.model_dump(mode="json"),
         generator=GENERATOR,
         seed=seed,
-        shape=shape,
+        shape=(*size, layout.channels),
+        bits=layout.bits,
         bitstream_sha256=hashlib.sha256(bitstream).hexdigest(),
         pixels_sha256=pixels_sha256(decoded.value),
     )
@@ -213,7 +214,7 @@ def _reencoding_result(entry: Entry, codec: Codec[Any]) -> EntryResult:
     """Check that the encoder still writes these bytes, as it must unless its version or a library's changed."""
     if entry.generator != GENERATOR:
         return EntryResult(entry, "passed", note=f"only decoded: generator {entry.generator} is not the current one")
-    reply = _ask(codec, "encode", integer_image(entry.seed, *entry.shape))
+    reply = _ask(codec, "encode", integer_image(entry.seed, *entry.shape, entry.bits))
     if reply.status != "done":
         return EntryResult(entry, "failed", f"does not encode its image any more: {reply.status}: {reply.reason}")
     if hashlib.sha256(reply.value).hexdigest() == entry.bitstream_sha256:

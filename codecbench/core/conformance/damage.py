@@ -238,11 +238,11 @@ def _must_withstand(codec_class: CodecClass, params: Params, index: int, damaged
 
 
 def _must_survive(codec_class: CodecClass, params: Params, damaged: Damaged) -> None:
-    """Fail unless every packet is refused or decodes to uint8 images of a sane size."""
+    """Fail unless every packet is refused or decodes to images of a sane size."""
     for where, packets in damaged:
         for image in _decode_in_process(where, codec_class, params, packets)[0]:
             try:
-                check_image(image)
+                check_image(image, bits=(8, 16))
             except ImageError as error:
                 raise ConformanceFailure(where, str(error), "BitstreamError or an image") from error
             if image.shape[0] * image.shape[1] > MAX_PIXELS:
@@ -330,8 +330,9 @@ def _require_true_mask(where: str, partial: PartialImage, decoded: Image) -> Non
     if not isinstance(partial, PartialImage):
         raise ConformanceFailure(where, type(partial).__name__, "a PartialImage")
     image, is_whole = partial.image, partial.whole
-    if image.dtype != np.uint8 or image.shape != decoded.shape:
-        raise ConformanceFailure(where, f"{image.dtype} of shape {image.shape}", f"uint8 of shape {decoded.shape}")
+    if image.dtype != decoded.dtype or image.shape != decoded.shape:
+        expected = f"{decoded.dtype} of shape {decoded.shape}"
+        raise ConformanceFailure(where, f"{image.dtype} of shape {image.shape}", expected)
     if is_whole.dtype != np.bool_ or is_whole.shape != decoded.shape[:2]:
         raise ConformanceFailure(where, f"whole: {is_whole.dtype} of {is_whole.shape}", f"bool of {decoded.shape[:2]}")
     require_same(f"{where}, pixels marked whole", image[is_whole], decoded[is_whole])

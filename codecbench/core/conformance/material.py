@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.image import Image, Layout
 
 FRAME_RATE_HZ: Final = 30.0
 _FRAMES: Final = 14
@@ -36,31 +36,34 @@ class Film:
     """Frames in order; those of a sequence may be views of one array."""
 
 
-def conformance_images(channels: int, seed: int = 1) -> list[Film]:
-    """Return images of 1 or 3 channels: single pixels, rows and columns, prime sizes, constants, extremes, noise.
+def conformance_images(layout: Layout, seed: int = 1) -> list[Film]:
+    """Return images of a layout: single pixels, rows and columns, prime sizes, constants, extremes, noise.
 
-    The first has ordinary content; equal seeds give equal images everywhere.
+    The first has ordinary content, and one of 16 bits looks like depth in millimeters with holes; equal seeds give
+    equal images everywhere.
     """
-    rng = np.random.default_rng(seed)
+    rng, white = np.random.default_rng(seed), (1 << layout.bits) - 1
     planes = {
-        "image 64x48": _picture(48, 64, rng),
-        "1x1": rng.integers(0, 256, (1, 1)),
+        "image 64x48": _picture(48, 64, rng) * (white / 255),
+        "1x1": rng.integers(0, white + 1, (1, 1)),
         "1x1 black": np.zeros((1, 1)),
-        "row 1x19": rng.integers(0, 256, (1, 19)),
-        "column 23x1": rng.integers(0, 256, (23, 1)),
-        "prime 17x31": _picture(17, 31, rng),
+        "row 1x19": rng.integers(0, white + 1, (1, 19)),
+        "column 23x1": rng.integers(0, white + 1, (23, 1)),
+        "prime 17x31": _picture(17, 31, rng) * (white / 255),
         "black 16x16": np.zeros((16, 16)),
-        "white 33x16": np.full((33, 16), 255),
-        "gray 8x8": np.full((8, 8), 128),
-        "noise 40x40": rng.integers(0, 256, (40, 40)),
-        "checkerboard 16x24": np.indices((16, 24)).sum(axis=0) % 2 * 255,
-        "edge 24x24": np.where(np.arange(24) < 11, 0, 255) * np.ones((24, 1)),
+        "white 33x16": np.full((33, 16), white),
+        "gray 8x8": np.full((8, 8), (white + 1) // 2),
+        "noise 40x40": rng.integers(0, white + 1, (40, 40)),
+        "checkerboard 16x24": np.indices((16, 24)).sum(axis=0) % 2 * white,
+        "edge 24x24": np.where(np.arange(24) < 11, 0, white) * np.ones((24, 1)),
     }
-    return [Film(name, [_layout(plane, channels, rng)]) for name, plane in planes.items()]
+    if layout.bits == 16:
+        planes["depth 37x50"] = (500 + 16 * _picture(37, 50, rng)) * (rng.random((37, 50)) > 0.1)
+    return [Film(name, [_in_layout(plane, layout, rng)]) for name, plane in planes.items()]
 
 
-def saturated_images(channels: int) -> list[Film]:
-    """Return 64x64 images of 1 or 3 channels that overflow in a decoder which does not clip to 0..255.
+def saturated_images(layout: Layout) -> list[Film]:
+    """Return 64x64 images of a layout that overflow in a decoder which does not clip to black and white.
 
     They have black beside white, adjacent corners of the color cube, and texture that touches either end. Edges lie at
     multiples of 16 pixels, to suit block-based codecs.
@@ -74,9 +77,13 @@ def saturated_images(channels: int) -> list[Film]:
         "white board": np.where((rows + columns) % 2 == 0, 0, 255),
         "nearly black": texture,
         "nearly white": 255 - texture,
-        "saturated colors": cube if channels == 3 else cube[:, :, 0],
+        "saturated colors": cube if layout.channels == 3 else cube[:, :, 0],
     }
-    return [Film(name, [_with_channels(picture.astype(np.uint8), channels)]) for name, picture in pictures.items()]
+    gain, dtype = ((1 << layout.bits) - 1) // 255, f"uint{layout.bits}"
+    return [
+        Film(name, [_with_channels((gain * picture).astype(dtype), layout.channels)])
+        for name, picture in pictures.items()
+    ]
 
 
 def _with_channels(picture: Image, channels: int) -> Image:
@@ -92,9 +99,9 @@ def _picture(height: int, width: int, rng: np.random.Generator) -> NDArray[np.fl
     return picture
 
 
-def _layout(plane: NDArray[np.generic], channels: int, rng: np.random.Generator) -> Image:
-    gray = np.round(plane.astype(np.float64)).astype(np.uint8)
-    if channels == 1:
+def _in_layout(plane: NDArray[np.generic], layout: Layout, rng: np.random.Generator) -> Image:
+    gray = np.round(plane.astype(np.float64)).astype(f"uint{layout.bits}")
+    if layout.channels == 1:
         return np.ascontiguousarray(gray)
     if gray.min() == gray.max():
         return np.repeat(gray[:, :, None], 3, axis=2)
@@ -102,24 +109,24 @@ def _layout(plane: NDArray[np.generic], channels: int, rng: np.random.Generator)
     return np.ascontiguousarray(np.stack([gray, *shifted], axis=2))
 
 
-def moving_pictures(channels: int, seed: int = 1) -> list[Film]:
-    """Return sequences of 1 or 3 channels, with even and odd sizes: moving texture, a disc before it, some noise.
+def moving_pictures(layout: Layout, seed: int = 1) -> list[Film]:
+    """Return sequences of a layout, with even and odd sizes: moving texture, a disc before it, some noise.
 
     Equal seeds give equal frames everywhere; another seed also changes the motion.
     """
     rng = np.random.default_rng(seed)
-    return [Film(f"{width}x{height}", _sequence(height, width, channels, _FRAMES, rng)) for height, width in _SIZES]
+    return [Film(f"{width}x{height}", _sequence(height, width, layout, _FRAMES, rng)) for height, width in _SIZES]
 
 
-def long_sequence(channels: int, seed: int = 3) -> Film:
-    """Return a small sequence of 1 or 3 channels, longer than any encoder holds back."""
+def long_sequence(layout: Layout, seed: int = 3) -> Film:
+    """Return a small sequence of a layout, longer than any encoder holds back."""
     height, width = _SIZES[-1]
-    pictures = _sequence(height, width, channels, _LONG, np.random.default_rng(seed))
+    pictures = _sequence(height, width, layout, _LONG, np.random.default_rng(seed))
     return Film(f"{width}x{height}", pictures)
 
 
-def pictures_with_corners(channels: int, seed: int = 5) -> list[Film]:
-    """Return sequences of 1 or 3 channels with features to detect: moving gray squares and some noise.
+def pictures_with_corners(layout: Layout, seed: int = 5) -> list[Film]:
+    """Return 8-bit sequences of a layout with features to detect: moving gray squares and some noise.
 
     The second ends with a frame without corners. Equal seeds give equal frames everywhere.
     """
@@ -132,12 +139,13 @@ def pictures_with_corners(channels: int, seed: int = 5) -> list[Film]:
         frames = [np.clip(crop + rng.normal(0, 3, crop.shape), 0, 255).astype(np.uint8) for crop in crops]
         if films:
             frames[-1] = np.full_like(frames[-1], 90)
-        pictures = frames if channels == 1 else [np.repeat(frame[..., None], 3, axis=2) for frame in frames]
+        pictures = frames if layout.channels == 1 else [np.repeat(frame[..., None], 3, axis=2) for frame in frames]
         films.append(Film(f"{width}x{height}", pictures))
     return films
 
 
-def _sequence(height: int, width: int, channels: int, frames: int, rng: np.random.Generator) -> list[Image]:
+def _sequence(height: int, width: int, layout: Layout, frames: int, rng: np.random.Generator) -> list[Image]:
+    white, channels = (1 << layout.bits) - 1, layout.channels
     speed = rng.uniform(0.5, 3, 2)
     rows, columns = np.mgrid[0:height, 0:width]
     film = np.zeros((frames, height, width, channels))
@@ -147,20 +155,23 @@ def _sequence(height: int, width: int, channels: int, frames: int, rng: np.rando
         disc = (rows - height / 2) ** 2 + (columns - width / 4 - 2 * index) ** 2 < (min(height, width) / 4) ** 2
         plane = texture + 60 * disc + rng.normal(0, 2, (height, width))
         film[index] = np.stack([np.roll(plane, 3 * channel, axis=1) for channel in range(channels)], axis=2)
-    samples = np.clip(np.round(film), 0, 255).astype(np.uint8)
+    samples = np.clip(np.round(film * (white / 255)), 0, white).astype(f"uint{layout.bits}")
     return list(samples[..., 0].copy() if channels == 1 else samples)
 
 
-def integer_image(seed: int, height: int, width: int, channels: int) -> Image:
+def integer_image(seed: int, height: int, width: int, channels: int, bits: int = 8) -> Image:
     """Draw an image that is equal on every machine: integer arithmetic only, without a library's random generator.
 
     A corpus identifies it by generator and seed. It has smooth shading at two scales, a disc with a sharp edge and
-    noise. Its 1 or 3 channels share the disc and differ in the rest, so color is neither constant nor noise.
+    noise. Its 1 or 3 channels share the disc and differ in the rest, so color is neither constant nor noise. One of 16
+    bits has more noise in its lower 8.
     """
     planes = [_plane(seed + 1000 * channel, height, width) for channel in range(channels)]
     rows, columns = np.indices((height, width))
     inside = (2 * rows - height) ** 2 + (2 * columns - width) ** 2 < (min(height, width) ** 2) // 2
-    pictures = [np.clip(plane + _DISC_LEVELS * inside, 0, 255).astype(np.uint8) for plane in planes]
+    pictures: list[Image] = [np.clip(plane + _DISC_LEVELS * inside, 0, 255).astype(np.uint8) for plane in planes]
+    if bits == 16:
+        return np.asarray(256 * pictures[0].astype(np.int64) + _random_bytes(seed + 500, height, width), np.uint16)
     return pictures[0] if channels == 1 else np.stack(pictures, axis=2)
 
 

@@ -21,6 +21,7 @@ from codecbench.core.conformance.material import Film, conformance_images, movin
 from codecbench.core.conformance.sandbox import Reply, Sandbox
 from codecbench.core.contracts.codec import AnyCodec
 from codecbench.core.contracts.errors import PluginError, Unsupported
+from codecbench.core.contracts.image import Layout
 from codecbench.core.contracts.params import Params
 from codecbench.core.engine.plugins.registry import installed
 
@@ -38,7 +39,7 @@ CHECKS: Final = (
     Check("extract", "features match their image and are repeatable", checks.features_match_the_image, ("features",)),
     Check("bytes", "packets are bytes, so their size can be measured", checks.packets_are_bytes, _ALL),
     Check("flush", "a session loses and repeats no frame", checks.no_frame_is_lost_or_doubled, ("stream",)),
-    Check("shape", "decoded images are uint8 and have the shape of the input", checks.shape_and_type_return, _IMAGES),
+    Check("shape", "decoded images have the shape and dtype of the input", checks.shape_and_type_return, _IMAGES),
     Check("sets", "every packet decodes to its set, and inputs do not change", checks.sets_come_back, ("features",)),
     Check("untouched", "input images do not change, whatever their memory layout", checks.input_is_untouched, _ALL),
     Check("stateless", "results do not depend on order or instance", checks.sessions_repeat, _ALL),
@@ -71,16 +72,11 @@ class CheckResult:
     """Result of one check on images of one layout."""
 
     check: Check
-    channels: int
-    """Layout of the images: 1 gray, 3 RGB."""
+    layout: Layout
+    """Layout of the images."""
     status: Status
     reason: str = ""
     """Why it failed or was skipped."""
-
-    @property
-    def layout(self) -> str:
-        """`gray` or `color`."""
-        return "gray" if self.channels == 1 else "color"
 
     def __str__(self) -> str:
         mark = "FAILED" if self.status == "failed" else self.status
@@ -92,11 +88,11 @@ def checks_of(shape: Shape) -> tuple[Check, ...]:
     return tuple(check for check in CHECKS if shape in check.shapes)
 
 
-def films_of(shape: Shape, channels: int) -> list[Film]:
+def films_of(shape: Shape, layout: Layout) -> list[Film]:
     """Return the test sequences of one layout for codecs of a shape."""
     if shape == "pictures":
-        return conformance_images(channels)
-    return moving_pictures(channels) if shape == "stream" else pictures_with_corners(channels)
+        return conformance_images(layout)
+    return moving_pictures(layout) if shape == "stream" else pictures_with_corners(layout)
 
 
 def run_checks(
@@ -104,21 +100,21 @@ def run_checks(
 ) -> list[CheckResult]:
     """Run all checks for this shape of codec, or the given ones, on every layout that the codec declares."""
     selection = checks_of(shape_of(codec_class)) if checks is None else checks
-    layouts = codec_class.capabilities.channels
-    return [run_check(check, channels, codec_class, params) for check in selection for channels in layouts]
+    layouts = codec_class.capabilities.layouts
+    return [run_check(check, layout, codec_class, params) for check in selection for layout in layouts]
 
 
-def run_check(check: Check, channels: int, codec_class: type[AnyCodec[Any]], params: Params) -> CheckResult:
+def run_check(check: Check, layout: Layout, codec_class: type[AnyCodec[Any]], params: Params) -> CheckResult:
     """Run one check on images of one layout."""
     try:
-        check.function(codec_class, params, films_of(shape_of(codec_class), channels))
+        check.function(codec_class, params, films_of(shape_of(codec_class), layout))
     except NotClaimed as claim:
-        return CheckResult(check, channels, "skipped", str(claim))
+        return CheckResult(check, layout, "skipped", str(claim))
     except ConformanceFailure as failure:
-        return CheckResult(check, channels, "failed", str(failure))
+        return CheckResult(check, layout, "failed", str(failure))
     except Exception as error:  # noqa: BLE001 - a codec may raise anything, which is a finding too
-        return CheckResult(check, channels, "failed", f"raised {type(error).__name__}: {error}")
-    return CheckResult(check, channels, "passed")
+        return CheckResult(check, layout, "failed", f"raised {type(error).__name__}: {error}")
+    return CheckResult(check, layout, "passed")
 
 
 @dataclass(frozen=True)
@@ -133,7 +129,7 @@ class Subject:
     """All parameters, as JSON types."""
     libraries: dict[str, str]
     """Versions by name."""
-    channels: tuple[int, ...]
+    layouts: tuple[Layout, ...]
     """Layouts that the codec declares."""
     shape: Shape
     """What it codes, which selects the checks."""
@@ -175,14 +171,14 @@ class Examiner:
 
     def results(self, subject: Subject, check: Check) -> Iterator[CheckResult]:
         """Run a check on each layout. After a check that hung, no more are run on this codec."""
-        for channels in subject.channels:
+        for layout in subject.layouts:
             if self._hung:
-                yield CheckResult(check, channels, "skipped", f"not run, because {self._hung} hung")
+                yield CheckResult(check, layout, "skipped", f"not run, because {self._hung} hung")
                 continue
-            reply = self._ask(_result, subject, check.name, channels)
+            reply = self._ask(_result, subject, check.name, layout)
             if reply.status == "hung":
                 self._hung = check.name
-            failure = CheckResult(check, channels, "failed", f"{reply.status}: {reply.reason}")
+            failure = CheckResult(check, layout, "failed", f"{reply.status}: {reply.reason}")
             yield reply.value if reply.status == "done" else failure
 
     def coded_pictures(self, subject: Subject, earlier: Sequence[Entry]) -> list[tuple[Entry, bytes]]:
@@ -247,20 +243,20 @@ def _subject(codec_class: Any, setting: dict[str, Any]) -> Subject:
     params = codec_class.params_type.model_validate(setting)
     libraries = {str(name): str(version) for name, version in codec_class(params).libraries().items()}
     dumped = params.model_dump(mode="json")
-    channels = tuple(int(count) for count in codec_class.capabilities.channels)
+    layouts = tuple(Layout(*layout) for layout in codec_class.capabilities.layouts)
     return Subject(
         str(codec_class.name),
         str(codec_class.version),
         setting,
         dumped,
         libraries,
-        channels,
+        layouts,
         shape_of(codec_class),
     )
 
 
-def _result(subject: Subject, check_name: str, channels: int) -> CheckResult:
+def _result(subject: Subject, check_name: str, layout: Layout) -> CheckResult:
     codec_class: Any = installed().load("codec", subject.codec)
     params = codec_class.params_type.model_validate(subject.setting)
     check = next(check for check in CHECKS if check.name == check_name)
-    return run_check(check, channels, codec_class, params)
+    return run_check(check, layout, codec_class, params)

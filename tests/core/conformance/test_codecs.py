@@ -67,8 +67,8 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(("name", "setting", "check"), list(_cases()))
 def test_codec_keeps_the_contract(name: str, setting: dict[str, Any], check: Check) -> None:
     codec_class = installed().load("codec", name)
-    for channels in codec_class.capabilities.channels:
-        check.function(codec_class, codec_class.params_type(**setting), films_of(shape_of(codec_class), channels))
+    for layout in codec_class.capabilities.layouts:
+        check.function(codec_class, codec_class.params_type(**setting), films_of(shape_of(codec_class), layout))
 
 
 @pytest.mark.parametrize("name", NAMES)

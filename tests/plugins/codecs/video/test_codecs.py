@@ -24,6 +24,7 @@ from codecbench import ImageError, Unsupported
 from codecbench.core.conformance.checks import no_frame_is_lost_or_doubled
 from codecbench.core.conformance.harness import decoded_of, packets_of
 from codecbench.core.conformance.material import long_sequence
+from codecbench.core.contracts.image import Layout
 from codecbench.plugins.codecs.video import library
 from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
 
@@ -85,7 +86,7 @@ def test_verify_sees_a_stream_that_is_longer_than_the_look_ahead(codec_class: An
     """Packets leave before the end, but for those of `av1`, which all wait for it; none is lost there."""
     codec = codec_class.create(latency="any")
     encoder = codec.encoder(30)
-    film = long_sequence(1)
+    film = long_sequence(Layout(1))
     left_early = sum(len(encoder.push(picture)) for picture in film.pictures)
     assert (left_early > 0) is (codec_class is not Av1)
     no_frame_is_lost_or_doubled(codec_class, codec.params, [film])
