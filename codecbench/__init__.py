@@ -53,12 +53,12 @@ if TYPE_CHECKING:
     from codecbench.core.contracts.executor import Executor, Finished, Task
     from codecbench.core.contracts.features import FeatureDecoder, FeatureEncoder, FeatureFrame, Features, FeatureSet
     from codecbench.core.contracts.hooks import PluginSpec, hookimpl
-    from codecbench.core.contracts.image import Image, check_image, gray_from_image
+    from codecbench.core.contracts.image import Image, Layout, check_image, gray_from_image
     from codecbench.core.contracts.link import Channel, Link, Passage, Queue
     from codecbench.core.contracts.metric import Metric
     from codecbench.core.contracts.params import NoParams, Params, PathParam
     from codecbench.core.contracts.recipe import Recipe, Scene
-    from codecbench.core.contracts.sequence import Camera, Dataset, Frame, FrameSequence, Origin, Trajectory
+    from codecbench.core.contracts.sequence import Camera, Dataset, Depth, Frame, FrameSequence, Origin, Trajectory
     from codecbench.core.contracts.slam import LoopEvent, SlamBackend, SlamRun, TrackedFrame
     from codecbench.core.contracts.stream import LOST, Loss, Packet, Picture, StreamDecoder, StreamEncoder
     from codecbench.core.contracts.view import Drawing, FrameTimeline, KeypointOverlay, Line, TimelineRow, View
@@ -90,12 +90,12 @@ _HOMES = {
         "FeatureDecoder", "FeatureEncoder", "FeatureFrame", "Features", "FeatureSet",
     ),
     _CONTRACTS + "hooks": ("PluginSpec", "hookimpl"),
-    _CONTRACTS + "image": ("Image", "check_image", "gray_from_image"),
+    _CONTRACTS + "image": ("Image", "Layout", "check_image", "gray_from_image"),
     _CONTRACTS + "link": ("Channel", "Link", "Passage", "Queue"),
     _CONTRACTS + "metric": ("Metric",),
     _CONTRACTS + "params": ("NoParams", "Params", "PathParam"),
     _CONTRACTS + "recipe": ("Recipe", "Scene"),
-    _CONTRACTS + "sequence": ("Camera", "Dataset", "Frame", "FrameSequence", "Origin", "Trajectory"),
+    _CONTRACTS + "sequence": ("Camera", "Dataset", "Depth", "Frame", "FrameSequence", "Origin", "Trajectory"),
     _CONTRACTS + "slam": ("LoopEvent", "SlamBackend", "SlamRun", "TrackedFrame"),
     _CONTRACTS + "stream": ("LOST", "Loss", "Packet", "Picture", "StreamDecoder", "StreamEncoder"),
     _CONTRACTS + "view": ("Drawing", "FrameTimeline", "KeypointOverlay", "Line", "TimelineRow", "View"),

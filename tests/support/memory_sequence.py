@@ -11,9 +11,9 @@ import numpy as np
 
 from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.evaluator import CodedFrame, Context, SentPacket
-from codecbench.core.contracts.image import Image
+from codecbench.core.contracts.image import Image, layout_of
 from codecbench.core.contracts.params import NoParams
-from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Trajectory
+from codecbench.core.contracts.sequence import Camera, Depth, Frame, FrameSequence, Trajectory
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 
 
@@ -21,13 +21,18 @@ class MemorySequence(FrameSequence):
     """Frames from a list of images at 10 Hz."""
 
     def __init__(
-        self, images: list[Image], camera: Camera | None = None, ground_truth: Trajectory | None = None
+        self,
+        images: list[Image],
+        camera: Camera | None = None,
+        ground_truth: Trajectory | None = None,
+        depth: Depth | None = None,
     ) -> None:
         self.images = images
         self.name = "memory"
         self.timestamps_s = np.arange(len(images)) / 10.0
         self.frame_rate_hz = 10.0
-        self.channels = 1 if not images or images[0].ndim == 2 else 3
+        self.channels, self.bits = layout_of(images[0]) if images else (1, 8)
+        self.depth = depth
         self.camera = camera
         self.ground_truth = ground_truth
         self.fingerprint = "memory"

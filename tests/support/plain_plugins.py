@@ -18,6 +18,7 @@ from codecbench import (
     Context,
     Dataset,
     DatasetError,
+    Depth,
     Frame,
     FrameEvaluator,
     FrameSequence,
@@ -36,6 +37,8 @@ from codecbench import (
 class RampParams(Params):
     frames: int = Field(default=3, ge=1)
     channels: int = 1
+    bits: int = 8
+    unit_m: float | None = None
     camera: bool = False
     broken: bool = False
 
@@ -47,13 +50,14 @@ class RampSequence(FrameSequence):
         self.name = "ramp"
         self.timestamps_s = np.arange(params.frames) / 30.0
         self.frame_rate_hz = 30.0
-        self.channels = params.channels
+        self.channels, self.bits = params.channels, params.bits
+        self.depth = None if params.unit_m is None else Depth(params.unit_m)
         self.camera = Camera(16, 8, 10.0, 10.0, 8.0, 4.0) if params.camera else None
         self.ground_truth = None
         self.fingerprint = f"ramp-{params.frames}-{params.channels}-{params.camera}"
 
     def read(self, index: int) -> Frame:
-        row = np.arange(16, dtype=np.uint8) * 8 + np.uint8(index)
+        row = np.arange(16, dtype=f"uint{self.bits}") * 8 + index
         image = np.tile(row, (8, 1))
         return Frame(index, index / 30.0, image if self.channels == 1 else np.repeat(image[:, :, None], 3, axis=2))
 

@@ -260,6 +260,7 @@ def _views(
 
 _WEBP_QUALITY: Final = 82
 _DIFFERENCE_QUALITY: Final = 60
+_SHOWN_PERCENT: Final = (1, 99)
 _GAIN: Final = 4
 """Factor on differences of gray, which are shown around middle gray."""
 
@@ -268,7 +269,8 @@ def frame_view(coded: CodedFrame, index: int, size: tuple[int, int], marks: Keyp
     """Cut out the middle of a coded frame, at most `size` (width, height), unscaled. marks: of the whole frame."""
     top, left, height, width = _middle(coded.original.image, size)
     part = slice(top, top + height), slice(left, left + width)
-    original, decoded = (np.ascontiguousarray(image[part]) for image in (coded.original.image, coded.decoded))
+    cut = [np.ascontiguousarray(image[part]) for image in (coded.original.image, coded.decoded)]
+    original, decoded = cut if cut[0].dtype == np.uint8 else _in_8_bits(*cut)
     difference = 128 + _GAIN * (gray_from_image(decoded).astype(np.int16) - gray_from_image(original))
     kept, lost = ([], []) if marks is None else (_inside(marks, is_kept, part) for is_kept in (True, False))
     return FrameView(
@@ -282,6 +284,14 @@ def frame_view(coded: CodedFrame, index: int, size: tuple[int, int], marks: Keyp
         lost,
         "" if marks is None else marks.note,
     )
+
+
+def _in_8_bits(original: Image, decoded: Image) -> list[Image]:
+    """Show 16-bit images by the range of most of the original's pixels, without the extremes, often of no meaning."""
+    inner = original[(original > 0) & (original < np.iinfo(original.dtype).max)]
+    low, high = np.percentile(inner, _SHOWN_PERCENT) if inner.size else (0.0, 1.0)
+    gain = 255.0 / max(high - low, 1.0)
+    return [np.asarray(np.clip(gain * (image - low), 0, 255), np.uint8) for image in (original, decoded)]
 
 
 def _middle(image: Image, size: tuple[int, int]) -> tuple[int, int, int, int]:

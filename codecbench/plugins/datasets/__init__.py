@@ -16,6 +16,7 @@ def codecbench_datasets() -> list[PluginSpec]:
         PluginSpec("tum", f"{_HERE}.tum:Tum", "TUM RGB-D benchmark layout: rgb.txt, groundtruth.txt"),
         PluginSpec("kitti", f"{_HERE}.kitti:Kitti", "KITTI odometry: sequences/NN, poses/NN.txt"),
         PluginSpec("euroc", f"{_HERE}.euroc:Euroc", "EuRoC MAV: mav0/cam0 with its body's ground truth"),
+        PluginSpec("sevenscenes", f"{_HERE}.sevenscenes:SevenScenes", "7-Scenes, color or depth: frame-*.color.png"),
         PluginSpec("folder", f"{_HERE}.folder:Folder", "image files in a folder, in natural order"),
         PluginSpec("video", f"{_HERE}.video:Video", "any video file that OpenCV opens"),
         PluginSpec(

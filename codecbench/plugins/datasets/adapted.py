@@ -61,8 +61,8 @@ class MiscalibratedSequence(AdaptedSequence):
 class ScaledSequence(AdaptedSequence):
     """The frames of another sequence at `scale` times their width and height; times and ground truth stay.
 
-    A pixel of a smaller frame is the mean of the area it covers. Larger frames are interpolated bicubically. Raises
-    DatasetError if a scaled frame has a side below MIN_SIDE_PX or more than MAX_PIXELS.
+    A pixel of a smaller frame is the mean of the area it covers. Larger frames are interpolated bicubically. Pixels of
+    depth are those nearest. Raises DatasetError if a scaled frame has a side below MIN_SIDE_PX or more than MAX_PIXELS.
     """
 
     def __init__(self, source: FrameSequence, scale: float) -> None:
@@ -73,6 +73,7 @@ class ScaledSequence(AdaptedSequence):
         size = self._scaled_size(unscaled)
         self.camera = None if camera is None else scaled_camera(camera, size)
         how = "as means over areas" if scale < 1.0 else "bicubic"
+        how = how if self.depth is None else "nearest pixels: a mean of distances may be nowhere"
         self.notes += (
             f"frames of {unscaled[0]}x{unscaled[1]} are scaled to {size[0]}x{size[1]} ({how}), and so is the camera",
         )
@@ -90,7 +91,8 @@ class ScaledSequence(AdaptedSequence):
     def read(self, index: int) -> Frame:
         frame = self._source.read(index)
         size = self._scaled_size(frame.image.shape[1::-1])
-        return Frame(frame.index, frame.timestamp_s, scaled_image(frame.image, size))
+        scaled = scaled_image(frame.image, size) if self.depth is None else _nearest(frame.image, size)
+        return Frame(frame.index, frame.timestamp_s, scaled)
 
     def _scaled_size(self, size: tuple[int, ...]) -> tuple[int, int]:
         """Width and height that frames of `size` are scaled to."""
@@ -106,7 +108,16 @@ class ScaledSequence(AdaptedSequence):
 def scaled_image(image: Image, size: tuple[int, int]) -> Image:
     """Scale an image to another width and height: means over areas if it shrinks, bicubic if it grows."""
     interpolation = cv2.INTER_AREA if size[0] < image.shape[1] else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, size, interpolation=interpolation), dtype=np.uint8)
+    return np.asarray(cv2.resize(image, size, interpolation=interpolation), dtype=image.dtype)
+
+
+def _nearest(image: Image, size: tuple[int, int]) -> Image:
+    """The pixels of an image whose centers are nearest to those of one of another size."""
+    rows, columns = (
+        ((np.arange(count) + 0.5) * sides / count).astype(int)
+        for count, sides in zip(size[::-1], image.shape, strict=True)
+    )
+    return np.ascontiguousarray(image[np.ix_(rows, columns)])
 
 
 def scaled_camera(camera: Camera, size: tuple[int, int]) -> Camera:

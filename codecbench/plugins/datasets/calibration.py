@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Camera, CameraModel
-from codecbench.plugins.datasets.tables import read_text
+from codecbench.core.contracts.sequence import Camera, CameraModel, Depth
+from codecbench.plugins.datasets.tables import read_text, transforms_from_quaternions
 
 FREIBURG = {
     "freiburg1": Camera(640, 480, 517.3, 516.5, 318.6, 255.3, (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
@@ -55,6 +58,17 @@ class YamlFile:
 
     def get(self, key: str, default: Any = None) -> Any:
         return self._entries.get(key, default)
+
+    def section(self, key: str) -> Self | None:
+        """The mapping below a key; None if there is none. Raises DatasetError if it is no mapping."""
+        entries = self.get(key)
+        if entries is None:
+            return None
+        if not isinstance(entries, dict):
+            raise DatasetError(f"{self.where(key)}: `{key}` has no `key: value` lines below it")
+        section = copy(self)
+        section._entries = entries
+        return section
 
     def number(self, key: str, default: float | None = None) -> float:
         """A finite number. Raises DatasetError if it is no number, or is missing without a default."""
@@ -120,6 +134,46 @@ def camera_from_file(file: Path) -> tuple[Camera, float | None]:
     coefficients are 0.
     """
     entries = YamlFile(file, "calibration")
+    camera = _camera(entries)
+    if "fps" not in entries._entries:
+        return camera, None
+    if entries.number("fps") <= 0.0:
+        raise DatasetError(f"{entries.where('fps')}: `fps` is {entries.get('fps')}, which is not above 0")
+    return camera, entries.number("fps")
+
+
+@dataclass(frozen=True)
+class DepthCamera:
+    """The depth camera beside a color camera."""
+
+    camera: Camera
+    depth: Depth
+    color_from_depth: NDArray[np.float64]
+    """(4, 4) rigid transform, in meters."""
+
+
+def depth_camera_from_file(file: Path) -> DepthCamera | None:
+    """Read the section `depth` of a calibration file; None if it has none. Raises DatasetError with file and line.
+
+    Keys: those of the camera; steps_per_m, the steps of a meter; `unknown`, the value of unknown distances, by default
+    0; color_from_depth, a list of tx ty tz in meters and a unit quaternion qx qy qz qw, by default the identity.
+    """
+    entries = YamlFile(file, "calibration").section("depth")
+    if entries is None:
+        return None
+    steps, unknown = entries.number("steps_per_m"), entries.number("unknown", 0.0)
+    if steps < 1.0:
+        raise DatasetError(f"{entries.where('steps_per_m')}: `steps_per_m` is {steps:g}, which is below 1")
+    if unknown not in range(1 << 16):
+        raise DatasetError(f"{entries.where('unknown')}: `unknown` is {unknown:g}, which is not within 0..65535")
+    pose = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+    if entries.get("color_from_depth") is not None:
+        pose[0] = entries.numbers("color_from_depth", (7,))
+    (transform,) = transforms_from_quaternions(pose, lambda _: entries.where("color_from_depth"))
+    return DepthCamera(_camera(entries), Depth(1.0 / steps, int(unknown)), transform)
+
+
+def _camera(entries: YamlFile) -> Camera:
     model = entries.get("model", "pinhole")
     if not isinstance(model, str) or model not in _DISTORTION:
         models = " and ".join(f"`{name}`" for name in _DISTORTION)
@@ -129,9 +183,4 @@ def camera_from_file(file: Path) -> tuple[Camera, float | None]:
             raise DatasetError(f"{entries.where(key)}: `{key}` is {entries.get(key)}, which is not above 0")
     coefficients = [entries.number(key, 0.0) for key in _DISTORTION[model]]
     width, height, fx, fy, cx, cy = (entries.number(key) for key in _INTRINSICS)
-    camera = camera_from_model(model, (round(width), round(height)), (fx, fy, cx, cy), coefficients)
-    if "fps" not in entries._entries:
-        return camera, None
-    if entries.number("fps") <= 0.0:
-        raise DatasetError(f"{entries.where('fps')}: `fps` is {entries.get('fps')}, which is not above 0")
-    return camera, entries.number("fps")
+    return camera_from_model(model, (round(width), round(height)), (fx, fy, cx, cy), coefficients)

@@ -16,8 +16,8 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.image import Image, channel_count
-from codecbench.core.contracts.sequence import Camera, Frame, FrameSequence, Origin, Trajectory
+from codecbench.core.contracts.image import Image, channel_count, layout_of
+from codecbench.core.contracts.sequence import Camera, Depth, Frame, FrameSequence, Origin, Trajectory
 from codecbench.plugins.codecs.jfif import quality_from_jpeg
 from codecbench.plugins.datasets.selection import Color, convert_color, workaround
 
@@ -26,7 +26,7 @@ _JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 
 
 def read_image_file(file: Path) -> Image:
-    """Read a gray (H, W) or RGB (H, W, 3) image with 8 bits per sample; an alpha channel is dropped.
+    """Read a gray (H, W) image of 8 or 16 bits, or an RGB (H, W, 3) image of 8; an alpha channel is dropped.
 
     EXIF orientation is not applied. Raises DatasetError if the file is missing, truncated or of another kind.
     """
@@ -42,8 +42,11 @@ def read_image_file(file: Path) -> Image:
         stored = None
     if stored is None:
         raise DatasetError(f"{file}: not an image that OpenCV can read ({len(content)} bytes); fetch or copy it again")
+    if stored.dtype == np.uint16 and stored.ndim == 2:
+        return np.asarray(stored, dtype=np.uint16)
     if stored.dtype != np.uint8:
-        raise DatasetError(f"{file}: has samples of {stored.dtype}; frames have 8 bits a sample: convert the file")
+        layout = f"{1 if stored.ndim == 2 else stored.shape[2]} channel(s) of {stored.dtype}"
+        raise DatasetError(f"{file}: has {layout}; frames have 8 bits, or 16 and are gray: convert the file")
     return _rgb_from_stored(stored)
 
 
@@ -106,6 +109,8 @@ class Content:
     camera: Camera | None = None
     uncalibrated: dict[str, Any] = field(default_factory=dict)
     """Parameters that open the sequence without its camera, suggested if the calibration does not fit."""
+    depth: Depth | None = None
+    """What pixels mean if they are distances."""
     ground_truth: Trajectory | None = None
     color: Color = "as_is"
     sizes_differ: bool = False
@@ -124,10 +129,11 @@ class FileSequence(FrameSequence):
         self.frame_rate_hz = content.frame_rate_hz
         self.camera = content.camera
         self.ground_truth = content.ground_truth
+        self.depth = content.depth
         self._content = content
         _check_files_exist(content)
         first = self._image(0)
-        self.channels = channel_count(first)
+        self.channels, self.bits = layout_of(first)
         self._size = first.shape[:2]
         self.notes = (*content.notes, *jpeg_notes(content.files[0].read_bytes()))
         with workaround(**content.uncalibrated):
@@ -140,6 +146,7 @@ class FileSequence(FrameSequence):
             {
                 "frames": [file_digest(file) for file in self._content.files],
                 "channels": self.channels,
+                **({} if self.bits == 8 else {"bits": self.bits}),
                 **fingerprint_facts(self),
             }
         )
@@ -167,6 +174,10 @@ class FileSequence(FrameSequence):
 
     def _check(self, image: Image, file: Path) -> None:
         height, width = image.shape[:2]
+        if self.depth is not None and image.dtype != np.uint16:
+            raise DatasetError(f"{file}: has samples of {image.dtype}; depth has 16 bits")
+        if layout_of(image).bits != self.bits:
+            raise DatasetError(f"{file}: has {layout_of(image).bits} bits, the first frame {self.bits}")
         if channel_count(image) != self.channels:
             raise DatasetError(
                 f"{file}: has {channel_count(image)} channel(s), the first frame {self.channels}; "
@@ -186,6 +197,7 @@ def fingerprint_facts(sequence: FrameSequence) -> dict[str, Any]:
         "timestamps_s": sequence.timestamps_s.tolist(),
         "frame_rate_hz": sequence.frame_rate_hz,
         "camera": None if sequence.camera is None else _camera_facts(sequence.camera),
+        **({} if sequence.depth is None else {"depth": asdict(sequence.depth)}),
         "ground_truth": None
         if truth is None
         else [hashlib.sha256(part.tobytes()).hexdigest() for part in (truth.timestamps_s, truth.world_from_camera)],

@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.sequence import Dataset, FrameSequence, Origin
+from codecbench.core.contracts.sequence import Dataset, Depth, FrameSequence, Origin
 from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size
-from codecbench.plugins.datasets.selection import FolderSelection, GivenCameraParams
+from codecbench.plugins.datasets.selection import DepthParams, FolderSelection, GivenCameraParams
 
 
-class FolderParams(FolderSelection, GivenCameraParams):
-    """Set the frame rate and the camera of a folder of images."""
+class FolderParams(FolderSelection, GivenCameraParams, DepthParams):
+    """Set the frame rate and the camera of a folder of images; with `depth_unit_m` its 16-bit images are depth."""
 
     frame_rate_hz: Annotated[float, Field(gt=0.0, description="frames per second; frame times follow from it")] = 30.0
 
@@ -40,6 +40,7 @@ class Folder(Dataset[FolderParams]):
         files = image_files(folder)
         chosen = params.indices(len(files), str(folder))
         known = params.given_camera(lambda: frame_size(files[chosen[0]], chosen[0]))
+        depth = None if params.depth_unit_m is None else Depth(params.depth_unit_m, params.depth_unknown)
         content = Content(
             name=folder.resolve().name,
             where=str(folder),
@@ -48,10 +49,11 @@ class Folder(Dataset[FolderParams]):
             timestamps_s=np.array(chosen, dtype=np.float64) / params.frame_rate_hz,
             frame_rate_hz=params.frame_rate_hz / params.stride,
             camera=known.camera,
+            depth=depth,
             color=params.color,
             sizes_differ=True,
             notes=(*params.subset_notes(len(files)), *known.notes),
-            origin=Origin("folder of images", known.source),
+            origin=Origin("folder of images" if depth is None else "folder of depth images", known.source),
         )
         return params.as_asked(FileSequence(content))
 

@@ -171,6 +171,17 @@ def read_camera_file(calibration: Path) -> tuple[KnownCamera, float | None]:
     return KnownCamera(camera, calibration.name), fps
 
 
+class DepthParams(Params):
+    """Say what the steps of depth pictures mean."""
+
+    depth_unit_m: Annotated[
+        float | None, Field(gt=0.0, le=1.0, description="meters of a step of depth pictures, such as 0.001")
+    ] = None
+    depth_unknown: Annotated[
+        int, Field(ge=0, le=65535, description="value of depth pixels whose distance is unknown")
+    ] = 0
+
+
 class FolderSelection(Selection):
     """Select from a folder on disk: your own, or one fetched by `codecbench data fetch`."""
 
@@ -199,5 +210,7 @@ def convert_color(image: Image, color: Color) -> Image:
     if color == "gray":
         return gray_from_image(image)
     if color == "rgb" and channel_count(image) == 1:
+        if image.dtype == np.uint16:
+            raise DatasetError("frames of 16 bits are gray: leave out `color: rgb`", {"color": "as_is"})
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
     return image

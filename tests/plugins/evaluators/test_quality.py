@@ -16,7 +16,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from codecbench.core.contracts.evaluator import CodedFrame
 from codecbench.core.contracts.image import Image
-from codecbench.core.contracts.sequence import Frame
+from codecbench.core.contracts.sequence import Depth, Frame
 from codecbench.plugins.evaluators.fidelity import (
     SCALE_WEIGHTS,
     gaussian_window,
@@ -136,6 +136,25 @@ def test_ms_ssim_of_opposites_is_zero_and_of_equals_one() -> None:
 def test_psnr_is_scikit_image(shape: tuple[int, ...], rng: np.random.Generator) -> None:
     first, second = (rng.integers(0, 256, shape, dtype=np.uint8) for _ in range(2))
     assert psnr_db(first, second) == pytest.approx(peak_signal_noise_ratio(first, second), abs=1e-10)
+
+
+def test_16_bits_have_their_own_peak(rng: np.random.Generator, tmp_path: Path) -> None:
+    first, second = (rng.integers(0, 65536, (64, 48), dtype=np.uint16) for _ in range(2))
+    assert psnr_db(first, second) == pytest.approx(peak_signal_noise_ratio(first, second), abs=1e-9)
+    sequence = MemorySequence([first])
+    coded = CodedInMemory(sequence, FunctionCodec(lambda image: second))
+    values = {found.metric: found for found in Quality.create().evaluate(coded, context(tmp_path))}
+    expected = structural_similarity(
+        first, second, data_range=65535, gaussian_weights=True, sigma=1.5, use_sample_covariance=False
+    )
+    assert values["ssim_wang"].value == pytest.approx(expected, abs=1e-9)
+    assert values["rate_bpp"].value == 16.0
+    assert values["compression_ratio"].value == 1.0
+    depth = CodedInMemory(MemorySequence([first], depth=Depth(0.001)), FunctionCodec(lambda image: second))
+    values = {found.metric: found for found in Quality.create().evaluate(depth, context(tmp_path))}
+    assert math.isnan(values["psnr_gray_db"].value)
+    assert "distances" in values["psnr_gray_db"].reason
+    assert values["rate_bpp"].value == 16.0
 
 
 def test_psnr_in_closed_form() -> None:

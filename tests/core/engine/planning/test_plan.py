@@ -9,7 +9,9 @@ from pathlib import Path
 import plain_plugins
 import pytest
 
+from codecbench.core.contracts.codec import Capabilities
 from codecbench.core.contracts.errors import MatrixError
+from codecbench.core.contracts.image import Layout
 from codecbench.core.engine.planning.matrix import read_matrix
 from codecbench.core.engine.planning.model import Plan, plan_from_json
 from codecbench.core.engine.planning.plan import make_plan
@@ -93,6 +95,28 @@ def test_what_cannot_be_computed_here_says_why(plan) -> None:  # type: ignore[no
     for fact in ("accepts gray", "of ramp are color"):
         assert fact in color.cells[0].unsupported
     assert color.jobs == ()
+
+
+def test_layouts_and_meanings_that_nobody_takes_are_unsupported(plan, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    deep = plan(MATRIX.replace("frames: 4", "frames: 4, bits: 16"))
+    assert "shift accepts gray frames; those of ramp are 16-bit gray" in deep.cells[0].unsupported
+    assert deep.sequences[0].layout == Layout(1, 16)
+    monkeypatch.setattr(plain_plugins.Shift, "capabilities", Capabilities((1,), bits=(8, 16)))
+    deep = plan(MATRIX.replace("frames: 4", "frames: 4, bits: 16"))
+    assert "error reads 8-bit frames; those of ramp are 16-bit gray" in deep.cells[0].unsupported
+    monkeypatch.setattr(plain_plugins.ErrorEvaluator, "bits", (8, 16))
+    monkeypatch.setattr(plain_plugins.ErrorEvaluator, "needs", frozenset({"depth"}))
+    for unit, missing in (("", "error needs depth; the pixels of ramp are intensities"), (", unit_m: 0.001", None)):
+        assert plan(MATRIX.replace("frames: 4", f"frames: 4, bits: 16{unit}")).cells[0].unsupported == (
+            missing and f"evaluator {missing}"
+        )
+    for faulty, fault in (
+        ("channels: 3, bits: 16", r"3 channel\(s\) of 16 bits; bits must be 8, or 16 with one channel"),
+        ("unit_m: 0.001", "depth of 8 bits; depth has 16"),
+        ("bits: 16, unit_m: -1", "must be a Depth of a positive unit"),
+    ):
+        with pytest.raises(MatrixError, match=fault):
+            plan(MATRIX.replace("frames: 4", f"frames: 4, {faulty}"))
 
 
 def test_sequences_that_do_not_open_are_reported_at_their_place(plan) -> None:  # type: ignore[no-untyped-def]
