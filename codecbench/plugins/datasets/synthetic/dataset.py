@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.image import Image
 from codecbench.core.contracts.sequence import Camera, Dataset, FrameSequence
 from codecbench.plugins.datasets.selection import Selection
+from codecbench.plugins.datasets.synthetic.depth import DepthSequence
 from codecbench.plugins.datasets.synthetic.paths import FRAME_RATE_HZ, HandheldPath
 from codecbench.plugins.datasets.synthetic.rendered import RenderedSequence
 from codecbench.plugins.datasets.synthetic.textures import photographs_digest, round_to_uint8
@@ -62,6 +63,12 @@ class SyntheticParams(Selection):
         float, Field(ge=0.0, le=1.0, description="exposure time as a share of the frame interval")
     ] = 0.25
 
+    stream: Annotated[Literal["color", "depth"], Field(description="color, or depth in millimeters")] = "color"
+    depth_noise: Annotated[
+        float,
+        Field(ge=0.0, le=20.0, description="factor on the depth sensor's noise; 0: exact, without shadows"),
+    ] = 1.0
+
     @model_validator(mode="before")
     @classmethod
     def _fill_in_from_world(cls, values: Any) -> Any:
@@ -85,6 +92,8 @@ class SyntheticParams(Selection):
                 if self.world is None:
                     raise ValueError(f"{name} needs a world; set world to one of {', '.join(WORLD_NAMES)}")
                 raise ValueError(f"{name} is fixed by world {self.world}; set severity, or leave out world")
+        if self.stream == "depth" and self.color == "rgb":
+            raise ValueError("depth is gray; leave out `color: rgb`")
         return self
 
     def pixel_inputs(self) -> dict[str, Any]:
@@ -102,9 +111,12 @@ class Synthetic(Dataset[SyntheticParams]):
 
     def open(self) -> FrameSequence:
         p = self.params
-        if p.world is None or p.severity is None:
-            return p.as_asked(SyntheticSequence(p))
-        return p.as_asked(WorldSequence(p.world, p.severity, p, p.frames, p.rate_hz, (p.width, p.height), p.seed))
+        rendered: RenderedSequence = (
+            SyntheticSequence(p)
+            if p.world is None or p.severity is None
+            else WorldSequence(p.world, p.severity, p, p.frames, p.rate_hz, (p.width, p.height), p.seed)
+        )
+        return p.as_asked(rendered if p.stream == "color" else DepthSequence(rendered, p.seed, p.depth_noise))
 
 
 class SyntheticSequence(RenderedSequence):
@@ -123,6 +135,10 @@ class SyntheticSequence(RenderedSequence):
             self._exposure_poses(source / FRAME_RATE_HZ), np.array(_OFFSETS_PX)
         )
         return expose_and_digitize(light, params.noise, np.random.default_rng([params.seed, 2, source]))
+
+    def distances_m(self, source: int) -> NDArray[np.float64]:
+        pose = self.path.world_from_camera(source / FRAME_RATE_HZ)
+        return np.asarray(_renderer(self._params.width, self._params.height).visible(pose)[1])
 
     def _exposure_poses(self, time_s: float) -> NDArray[np.float64]:
         """Poses (S, 4, 4) spread evenly over the exposure, which is centered on the frame's time."""

@@ -110,12 +110,20 @@ class RenderedSequence(FrameSequence):
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise DatasetError(f"synthetic: frame {index} is not in 0..{len(self) - 1}")
-        source = self._indices[index]
+        source = self.source(index)
         image = self._store.load(source)
         if image is None:
             image = self.render(source)
             self._store.save(source, image)
         return Frame(index, float(self.timestamps_s[index]), convert_color(image, self._color))
+
+    def source(self, index: int) -> int:
+        """The number of a frame before the selection."""
+        return self._indices[index]
+
+    @abstractmethod
+    def distances_m(self, source: int) -> NDArray[np.float64]:
+        """Distances (H, W) along the optical axis at frame `source`, in meters; infinity where there is nothing."""
 
     @abstractmethod
     def render(self, source: int) -> Image:

@@ -78,6 +78,15 @@ class Exposure:
                 _add_rows(planes, self._panels, first, last, 8 * (k + 0.5) / samples, *layout, total)
         return total
 
+    def distances_m(self, pose: Pose, time_s: float, carrier: Pose | None = None) -> Floats:
+        """Distances (H, W) along the optical axis at a time, in meters; infinity where there is nothing."""
+        for first, last, planes, rows in self._strips(pose, carrier, time_s, 0.0, np.zeros(2)):
+            self._nearness[first:last] = 0.0
+            self._panels[first:last] = -1
+            cover(planes, rows, self._nearness, self._panels)
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / self._nearness)
+
     def _strips(
         self, pose: Pose, carrier: Pose | None, middle_s: float, readout_s: float, offset: Floats
     ) -> Iterator[tuple[int, int, Floats, NDArray[np.int64]]]:

@@ -16,7 +16,7 @@ from codecbench.plugins.datasets.synthetic.textures import photographs_digest
 from codecbench.plugins.datasets.synthetic.worlds.presets import WORLDS, Place, WorldName
 
 if TYPE_CHECKING:
-    from codecbench.plugins.datasets.synthetic.worlds.exposure import Exposure
+    from codecbench.plugins.datasets.synthetic.worlds.exposure import Exposure, Floats, Pose
 
 WORLDS_VERSION = "1"
 """Version of the rendered frames, part of the fingerprint; increase it if any frame changes."""
@@ -56,11 +56,10 @@ class WorldSequence(RenderedSequence):
 
         conditions, camera = self.conditions, self.camera
         assert camera is not None
+        exposure, carrier = self._exposure(camera)
         time_s, open_s = source / self._rate_hz, conditions.exposure / self._rate_hz
         pose = self.path.world_from_camera
         samples = samples_for(pose, time_s, open_s, camera.fx, self._world.view_m)
-        exposure = _exposure(self._world.place, conditions.contrast, conditions.distinctness, camera)
-        carrier = self.path.van_m if isinstance(self.path, Drive) else None
         total = exposure.total(pose, time_s, open_s, conditions.readout / self._rate_hz, samples, carrier)
         sensor = Sensor(conditions.electrons, conditions.brightness, conditions.lens_blur_px)
         gain = 2.0 ** (conditions.swing_stops * np.sin(2 * np.pi * time_s / _SWING_PERIOD_S))
@@ -68,6 +67,17 @@ class WorldSequence(RenderedSequence):
         gain *= conditions.first_light + (1.0 - conditions.first_light) * dusk
         key = int(np.random.default_rng([self._seed, 3, source]).integers(2**63))
         return sensor.expose(total, samples, float(gain), key)
+
+    def distances_m(self, source: int) -> Floats:
+        assert self.camera is not None
+        exposure, carrier = self._exposure(self.camera)
+        return exposure.distances_m(self.path.world_from_camera, source / self._rate_hz, carrier)
+
+    def _exposure(self, camera: Camera) -> tuple[Exposure, Pose | None]:
+        """What renders the scene, and the position of its moving panels."""
+        conditions = self.conditions
+        exposure = _exposure(self._world.place, conditions.contrast, conditions.distinctness, camera)
+        return exposure, self.path.van_m if isinstance(self.path, Drive) else None
 
 
 @lru_cache(maxsize=2)
