@@ -30,7 +30,7 @@ def test_exact_depth_moves_points_from_view_to_view(world: str | None) -> None:
     rows = np.rint(moved[:, 1] / moved[:, 2] * camera.fy + camera.cy).astype(int)
     inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height) & (moved[:, 2] > 0)
     there, expected = second[rows[inside], columns[inside]], moved[inside, 2]
-    assert inside.mean() > 0.5
+    assert inside.mean() > 0.4
     assert np.mean(np.abs(there - expected) < 0.02 * expected) > 0.9
 
 
