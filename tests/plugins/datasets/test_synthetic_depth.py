@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -29,9 +30,11 @@ def test_exact_depth_moves_points_from_view_to_view(world: str | None) -> None:
     columns = np.rint(moved[:, 0] / moved[:, 2] * camera.fx + camera.cx).astype(int)
     rows = np.rint(moved[:, 1] / moved[:, 2] * camera.fy + camera.cy).astype(int)
     inside = (columns >= 0) & (columns < camera.width) & (rows >= 0) & (rows < camera.height) & (moved[:, 2] > 0)
-    there, expected = second[rows[inside], columns[inside]], moved[inside, 2]
+    around = np.ones((3, 3), np.uint8)  # a point is moved to a whole pixel, and the ground is steep
+    nearest, farthest = (find(second, around)[rows[inside], columns[inside]] for find in (cv2.erode, cv2.dilate))
+    expected = moved[inside, 2]
     assert inside.mean() > 0.4
-    assert np.mean(np.abs(there - expected) < 0.02 * expected) > 0.9
+    assert np.mean((expected > 0.998 * nearest) & (expected < 1.002 * farthest)) > 0.93
 
 
 @pytest.mark.parametrize("distance_m", [1.0, 3.0])
