@@ -148,8 +148,8 @@ BLOCKS: Final = {
     ),
     **{
         f"metrics-{name}": Block(METRICS, (), tables.metrics(name))
-        for name in ("quality", "features", "localization", "relative_pose", "place_recognition", "delivery", "stream",
-                     "timing", "operations")
+        for name in ("quality", "depth", "features", "localization", "relative_pose", "place_recognition", "delivery",
+                     "stream", "timing", "operations")
     },
     **{
         f"metrics-trajectory-{part}": Block(METRICS, (), tables.metrics("trajectory", part.upper()))

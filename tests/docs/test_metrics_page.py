@@ -12,6 +12,7 @@ from codecbench.core.contracts.evaluator import Evaluator
 from codecbench.core.simulation.settings import LinkSettings, ReaderSettings
 from codecbench.plugins.evaluators import codecbench_evaluators
 from codecbench.plugins.evaluators.delivery import DeliveryEvaluator
+from codecbench.plugins.evaluators.depth import DepthEvaluator
 from codecbench.plugins.evaluators.features import Features
 from codecbench.plugins.evaluators.localization import Localization
 from codecbench.plugins.evaluators.operations import Operations
@@ -25,8 +26,8 @@ from codecbench.plugins.evaluators.trajectory import TrajectoryEvaluator, files
 PAGE = (DOCS / "metrics.md").read_text()
 SECTIONS = {part.split("\n", 1)[0].strip(): part for part in re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]}
 EVALUATORS = (
-    Quality, Features, Localization, RelativePose, PlaceRecognition, Stream, DeliveryEvaluator, Timing, Operations,
-    TrajectoryEvaluator,
+    Quality, DepthEvaluator, Features, Localization, RelativePose, PlaceRecognition, Stream, DeliveryEvaluator, Timing,
+    Operations, TrajectoryEvaluator,
 )  # fmt: skip
 ARROWS = {"↑": "higher", "↓": "lower", "": "neither"}
 each = pytest.mark.parametrize("evaluator", EVALUATORS, ids=lambda evaluator: evaluator.name)

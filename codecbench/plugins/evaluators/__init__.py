@@ -12,6 +12,7 @@ def codecbench_evaluators() -> list[PluginSpec]:
     return [
         PluginSpec("quality", _HERE + "quality:Quality", "rate, PSNR and structural similarity, frame by frame"),
         PluginSpec("features", _HERE + "features:Features", "keypoints and matches that a feature-based tracker loses"),
+        PluginSpec("depth", _HERE + "depth:DepthEvaluator", "errors of distances, edges and surfaces of depth frames"),
         PluginSpec("stream", _HERE + "stream:Stream", "bit rate, coding delay and random access"),
         PluginSpec(
             "delivery", _HERE + "delivery:DeliveryEvaluator", "which frames arrive over a link, when, and their age"
