@@ -28,6 +28,8 @@ PLANE_PX: Final = 15
 RANGES_M: Final = (1.0, 2.0, 4.0)
 """Limits between the ranges of distance in which relative errors are averaged."""
 _RANGES: Final = {"below_1m": "below 1 m", "1_to_2m": "1 to 2 m", "2_to_4m": "2 to 4 m", "from_4m": "from 4 m"}
+_GROSS: Final = 10.0
+"""What pixels without comparable distances count as in the ratio of noise, and the most that any counts as."""
 _NOTHING: Final = "no pixel or patch of this kind has its distances in both frames"
 
 
@@ -67,7 +69,7 @@ class DepthEvaluator(SequenceEvaluator[DepthParams]):
     typical_ms_per_frame = 25.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         _metric(
-            "noise_ratio", "1", "RMS of the error over noise_per_m times the squared distance",
+            "noise_ratio", "1", "RMS of the error over noise_per_m times the squared distance, where gross errors are 10",
             "error over sensor noise", "error /\nnoise", enough=1.0,
         ),
         _metric("mean_error_mm", "mm", "mean absolute error", "mean error", "error mm"),
@@ -124,14 +126,15 @@ class DepthEvaluator(SequenceEvaluator[DepthParams]):
 
     def _errors(self, frame: CodedFrame, unknown: int, edges: Edges, unit_m: float) -> dict[str, float]:
         """Errors of the pixels with a distance in both frames."""
-        counts, ranges, squares, flying = _compare(
-            frame.original.image, frame.decoded, unknown, *edges, self.params.edge_jump / 2, unit_m
-        )
+        counts, ranges, squares, flying, changed = _compare(
+            frame.original.image, frame.decoded, unknown, *edges, self.params.edge_jump / 2, unit_m,
+            self.params.noise_per_m,
+        )  # fmt: skip
         steps, of_all = np.arange(counts.shape[1]), counts.sum(axis=0)
         known, up_to, step_mm = int(of_all.sum()), np.cumsum(of_all), 1e3 * unit_m
         ranked = np.searchsorted(up_to, np.array([0.5, 0.99, 1.0]) * known) * (step_mm if known else math.nan)
         return {
-            "noise_ratio": math.sqrt(_ratio(squares, known)) / self.params.noise_per_m,
+            "noise_ratio": math.sqrt(_ratio(squares, known + changed)),
             "mean_error_mm": step_mm * _ratio(steps @ of_all, known),
             **dict(zip(("median_error_mm", "p99_error_mm", "worst_error_mm"), ranked.tolist(), strict=True)),
             "edge_error_mm": step_mm * _ratio(steps @ counts[1], counts[1].sum()),
@@ -179,20 +182,32 @@ def _ratio(total: Any, count: Any) -> float:
 
 @compiled
 def _compare(
-    original: Any, decoded: Any, unknown: int, at_edge: Any, near: Any, far: Any, tolerance: float, unit_m: float
-) -> tuple[NDArray[np.int64], NDArray[np.float64], float, int]:
+    original: Any,
+    decoded: Any,
+    unknown: int,
+    at_edge: Any,
+    near: Any,
+    far: Any,
+    tolerance: float,
+    unit_m: float,
+    noise_per_m: float,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], float, int, int]:
     """Sums over the pixels of two (H, W) uint16 frames with a distance in both.
 
     Returns the number of pixels by error in steps, elsewhere and near edges, (2, 65536); sum of errors over distances
-    and number of pixels in each range, (4, 2); sum of squares of errors over squared distances in 1/m^2; and number of
-    flying pixels, which differ from every distance around them by more than `tolerance` times the smallest one.
+    and number of pixels in each range, (4, 2); sum of squares of errors over the sensor's noise, at most _GROSS each,
+    with that for each pixel that has a distance in one frame only; number of flying pixels, which differ from every
+    distance around them by more than `tolerance` times the smallest one; and number of pixels with a distance in one.
     """
     counts, ranges = np.zeros((2, 65536), np.int64), np.zeros((len(RANGES_M) + 1, 2))
-    squares, flying = 0.0, 0
+    squares, flying, changed = 0.0, 0, 0
     for row in range(original.shape[0]):
         for column in range(original.shape[1]):
             before, after = np.int64(original[row, column]), np.int64(decoded[row, column])
             if before == unknown or after == unknown:
+                if before != after:
+                    squares += _GROSS**2
+                    changed += 1
                 continue
             error, edge = abs(after - before), at_edge[row, column]
             counts[np.int64(edge), error] += 1
@@ -203,10 +218,10 @@ def _compare(
                     at += 1
             ranges[at, 0] += ratio
             ranges[at, 1] += 1.0
-            squares += (ratio / distance_m) ** 2
+            squares += min(ratio / distance_m / noise_per_m, _GROSS) ** 2
             if edge:
                 nearest, farthest = np.int64(near[row, column]), np.int64(far[row, column])
                 least = tolerance * nearest
                 if error > least and abs(after - nearest) > least and abs(after - farthest) > least:
                     flying += 1
-    return counts, ranges, squares, flying
+    return counts, ranges, squares, flying, changed

@@ -89,7 +89,9 @@ def test_errors_are_those_of_numpy(rng: np.random.Generator) -> None:
     for name, share in (("median_error_mm", 50), ("p99_error_mm", 99), ("worst_error_mm", 100)):
         assert values[name] == pytest.approx(np.percentile(errors, share, method="inverted_cdf"))
     ratios = errors / 1000.0 / (1.425e-3 * distances**2)
-    assert values["noise_ratio"] == pytest.approx(np.sqrt((ratios**2).mean()))
+    changed = np.count_nonzero((original > 0) != (decoded > 0))
+    squares = (np.minimum(ratios, 10.0) ** 2).sum() + 100.0 * changed
+    assert values["noise_ratio"] == pytest.approx(np.sqrt(squares / (known.sum() + changed)))
     limits = (0.0, 1.0, 2.0, 4.0, np.inf)
     for name, low, high in zip(("below_1m", "1_to_2m", "2_to_4m", "from_4m"), limits, limits[1:], strict=False):
         there = (distances >= low) & (distances < high)
@@ -101,6 +103,13 @@ def test_noise_of_the_sensor_is_one_noise_of_the_sensor(rng: np.random.Generator
     original = rng.integers(4000, 40_000, (200, 200))
     decoded = original + rng.normal(0.0, 1.425e-3 * (original * 1e-4) ** 2 / 1e-4)
     assert measured(original, decoded.round(), Depth(1e-4))["noise_ratio"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_one_percent_of_gained_lost_or_gross_pixels_is_as_much_as_the_noise_of_the_sensor() -> None:
+    whole, holed, gross = wall(2000, (20, 50)), wall(2000, (20, 50)), wall(2000, (20, 50))
+    holed[3, :10], gross[3, :10] = 0, 4000
+    for original, decoded in ((whole, holed), (holed, whole), (whole, gross)):
+        assert measured(original, decoded)["noise_ratio"] == pytest.approx(1.0)
 
 
 def test_rounding_to_ten_millimeters_errs_by_two_and_a_half() -> None:
@@ -165,10 +174,11 @@ def test_angles_need_a_pinhole_camera(camera: Camera | None) -> None:
     assert missing(measured(room(), room(), camera=camera)) == ANGLES
 
 
-def test_frames_without_a_distance_have_only_shares() -> None:
+def test_frames_without_a_distance_have_shares_only() -> None:
     values = measured(wall(0), wall(900))
-    assert values["invented_percent"] == 100.0
-    assert missing(values) == NAMES - {"invented_percent", "lost_percent"}
+    assert (values["invented_percent"], values["noise_ratio"]) == (100.0, 10.0)
+    assert missing(values) == NAMES - {"invented_percent", "lost_percent", "noise_ratio"}
+    assert missing(measured(wall(0), wall(0))) == NAMES - {"invented_percent", "lost_percent"}
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (3, 3), (7, 8)])
