@@ -69,7 +69,7 @@ class DepthEvaluator(SequenceEvaluator[DepthParams]):
     typical_ms_per_frame = 25.0
     metrics: ClassVar[tuple[Metric, ...]] = (
         _metric(
-            "noise_ratio", "1", "RMS of the error over noise_per_m times the squared distance, where gross errors are 10",
+            "noise_ratio", "1", "RMS of the error over noise_per_m times the squared distance; gross errors are 10",
             "error over sensor noise", "error /\nnoise", enough=1.0,
         ),
         _metric("mean_error_mm", "mm", "mean absolute error", "mean error", "error mm"),
