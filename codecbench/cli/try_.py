@@ -23,7 +23,7 @@ from codecbench.trial import trial
 if TYPE_CHECKING:
     from codecbench.trial.trial_matrix import TrialMatrix
 
-_AIMS = ("tracking", "quality", "speed")
+_AIMS = ("tracking", "quality", "speed", "depth")
 
 
 def _choices(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -11,6 +11,7 @@ from typing import Any, Final
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from codecbench.core.contracts.errors import CodecbenchError, DatasetError, ParamsError
+from codecbench.core.contracts.image import Layout
 from codecbench.core.engine.planning.description import InvalidParams, describe
 from codecbench.core.engine.planning.schema import plugin_schema
 from codecbench.core.engine.plugins.registry import Registry
@@ -42,6 +43,10 @@ class Recording:
     height: int
     has_camera: bool
     has_ground_truth: bool
+    bits: int = 8
+    """Bits of a sample."""
+    depth_unit_m: float | None = None
+    """Meters of a step if its pixels are distances."""
     sizes: tuple[tuple[int, int], ...] = ()
     """Each frame size once, if frames differ."""
     camera_from: str = ""
@@ -62,7 +67,8 @@ class Recording:
             self.kind,
             counted(self.frames, "frame"),
             self._size,
-            "gray" if self.channels == 1 else "color",
+            str(Layout(self.channels, self.bits)) if self.depth_unit_m is None
+            else f"depth in steps of {1e3 * self.depth_unit_m:.3g} mm",
             known if self.has_camera else "no calibration",
             "ground truth" if self.has_ground_truth else "no ground truth",
         ))  # fmt: skip
@@ -185,6 +191,8 @@ def facts_of(registry: Registry, name: str, params: dict[str, Any]) -> dict[str,
         "name": clean_line(str(sequence.name)),
         "frames": len(sequence),
         "channels": int(sequence.channels),
+        "bits": int(sequence.bits),
+        "depth_unit_m": None if sequence.depth is None else float(sequence.depth.unit_m),
         "width": int(width),
         "height": int(height),
         "has_camera": sequence.camera is not None,

@@ -25,16 +25,20 @@ from codecbench.trial.pace import Pace, measure_pace
 from codecbench.trial.recording import Recording
 from codecbench.trial.requested_codecs import RequestedCodec, parse_codec
 
-Purpose = Literal["tracking", "quality", "speed"]
+Purpose = Literal["tracking", "quality", "speed", "depth"]
 
 _USUAL: Final = ("jpeg:1..95", "h264:crf=51..15", "webp:0..95", "jpeg2000:ratio=400..4")
 """Default codecs, each from coarse to fine. The last ones are left out first if time is short."""
+_USUAL_16_BITS: Final = ("jpegxl:distance=0", "png", "jpeg2000:ratio=100..2")
+_USUAL_DEPTH: Final = (
+    "rvl", "png", "jpegxl:distance=0,effort=1|3", "lerc:max_error=64..0", "zstd", "ffv1", "hevc:crf=40..0",
+)  # fmt: skip
 _STEPS: Final = {False: 15, True: 7}
 """Steps of a range; True: if each needs several runs. One less than a power of 2, as bisection halves them."""
 _STARTS: Final = (0, 1, 2, 3)
 """Start offsets of SLAM; a success rate needs at least four runs."""
 _TYPICAL_PIXELS: Final = 640 * 480
-_FEWEST: Final[dict[str, int]] = {"tracking": 150, "quality": 10, "speed": 10}
+_FEWEST: Final[dict[str, int]] = {"tracking": 150, "quality": 10, "speed": 10, "depth": 10}
 """Minimum number of frames for each aim: SLAM needs a few seconds of a recording to begin a map."""
 _FEWEST_FOR_VIDEO: Final = 60
 """Minimum number of frames for video codecs: with fewer, the first frame dominates the rate."""
@@ -42,7 +46,7 @@ _MARGIN: Final = 1.4
 """Factor on typical costs, so that searches finish even if frames cost more than typical ones."""
 _ROUND_S: Final = 3.0
 """Overhead of a round of trials: workers wait for the last cell, and tables are made."""
-_MINUTES: Final[dict[str, float]] = {"tracking": 5.0, "quality": 2.5, "speed": 2.5}
+_MINUTES: Final[dict[str, float]] = {"tracking": 5.0, "quality": 2.5, "speed": 2.5, "depth": 2.5}
 """Default time for each aim; SLAM from several start offsets takes longest."""
 
 
@@ -74,8 +78,11 @@ class TrialMatrix:
 
 
 def suited_aim(recording: Recording) -> Purpose:
-    """Return `tracking` if SLAM can run on the recording, else `quality`."""
-    return "tracking" if recording.has_camera and recording.frames >= _FEWEST["tracking"] else "quality"
+    """Return `depth` for depth, `tracking` if SLAM can run on the recording, else `quality`."""
+    if recording.depth_unit_m is not None:
+        return "depth"
+    tracks = recording.has_camera and recording.bits == 8 and recording.frames >= _FEWEST["tracking"]
+    return "tracking" if tracks else "quality"
 
 
 def trial_matrix(
@@ -96,6 +103,11 @@ def trial_matrix(
         aim = suited_aim(recording)
         chosen.append(_explain_aim(aim, recording))
     minutes = _MINUTES[aim] if minutes is None else minutes
+    if (aim == "depth") != (recording.depth_unit_m is not None):
+        is_not = "is not depth" if aim == "depth" else "is depth: PSNR, features and SLAM say nothing of it"
+        raise Unsupported(f"--for {aim}: this recording {is_not}; use --for {suited_aim(recording)}")
+    if aim == "tracking" and recording.bits != 8:
+        raise Unsupported("--for tracking: SLAM reads 8-bit frames, and these have 16; use --for quality")
     if aim == "tracking" and not recording.has_camera:
         raise Unsupported(
             "tracking needs the camera, and this recording has no calibration; give --fov DEGREES (its horizontal "
@@ -106,7 +118,7 @@ def trial_matrix(
             "there is no ground truth: SLAM trajectories on raw frames are the reference, as far as they agree"
         )
     if recording.sizes and not codecs:
-        names = ", ".join(text.partition(":")[0] for text in _USUAL if _is_video_codec(registry, text))
+        names = ", ".join(text.partition(":")[0] for text in _defaults(recording) if _is_video_codec(registry, text))
         chosen.append(f"video codecs ({names}) are left out: they need frames of one size")
     draft = _fit_to_time(registry, recording, list(codecs), aim, minutes, chosen)
     settings = len({cell.codec for cell in draft.plan.cells})
@@ -156,6 +168,11 @@ def _fit_to_time(
 
 def _explain_aim(aim: Purpose, recording: Recording) -> str:
     """Explain the aim; if one parameter would make it tracking, say which."""
+    if aim == "depth":
+        return "the pixels are distances, so codecs are judged by their errors against the sensor's noise (--for depth)"
+    if recording.bits != 8:
+        how = "; if they are distances: --set depth_unit_m=METERS" if "depth_unit_m" in recording.settable else ""
+        return f"frames of 16 bits are not for SLAM or features, so codecs are judged by PSNR (--for quality){how}"
     if aim == "tracking":
         return "the camera is known, so codecs are judged by SLAM on their frames (--for tracking)"
     judgment = "so codecs are judged by image quality and features (--for quality)"
@@ -169,8 +186,17 @@ def _explain_aim(aim: Purpose, recording: Recording) -> str:
 
 def _usual(registry: Registry, recording: Recording) -> list[str]:
     """Return the default codecs that are installed and can code the recording's frames."""
-    available = [text for text in _USUAL if registry.find("codec", text.partition(":")[0]).missing is None]
+    available = [
+        text for text in _defaults(recording) if registry.find("codec", text.partition(":")[0]).missing is None
+    ]
     return [text for text in available if not (recording.sizes and _is_video_codec(registry, text))]
+
+
+def _defaults(recording: Recording) -> tuple[str, ...]:
+    """Return the default codecs for a recording's pixels."""
+    if recording.depth_unit_m is not None:
+        return _USUAL_DEPTH
+    return _USUAL_16_BITS if recording.bits == 16 else _USUAL
 
 
 def _is_video_codec(registry: Registry, text: str) -> bool:
@@ -195,7 +221,7 @@ class _Draft:
         matrix, recording = matrix_from(self.text(), self.registry), self.recording
         entry = SequenceEntry(
             recording.name, matrix.sequences[0].setting, "", self.frames, recording.channels, recording.has_camera,
-            recording.has_ground_truth,
+            recording.has_ground_truth, bits=recording.bits, has_depth=recording.depth_unit_m is not None,
         )  # fmt: skip
         titles = [evaluator.setting.title for evaluator in matrix.evaluators]
         repeated = {"trajectory"} if titles == ["quality", "trajectory", "timing"] else set(titles) - {"trajectory"}
@@ -258,7 +284,8 @@ class _Draft:
             if codec.values:
                 lines.append(f"    params: {_flow({key: _values(span) for key, span in codec.values.items()})}")
         without_truth = self.aim == "tracking" and not recording.has_ground_truth
-        lines += ["evaluators:", *(line for line in _EVALUATORS[self.aim] if not (without_truth and line == _PLACES))]
+        unsuited = {*([_PLACES] if without_truth else []), *([_FEATURES] if recording.bits == 16 else [])}
+        lines += ["evaluators:", *(line for line in _EVALUATORS[self.aim] if line not in unsuited)]
         return "\n".join(lines) + "\n"
 
 
@@ -282,6 +309,12 @@ _EVALUATORS: Final[dict[str, list[str]]] = {
         "    params: {frames: 5, repeats: 3}",
     ],
     "quality": [_QUALITY, _FEATURES, "  - use: timing", "    params: {frames: 5, repeats: 3}"],
+    "depth": [
+        "  - quality  # bits per pixel",
+        "  - depth  # errors in millimeters, and against the sensor's noise",
+        "  - use: timing",
+        "    params: {frames: 5, repeats: 3}",
+    ],
     "speed": [
         _QUALITY,
         "  - use: timing  # on one core, alone on the machine",

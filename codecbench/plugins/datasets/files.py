@@ -66,6 +66,15 @@ def _header_size(file: Path) -> tuple[int, int] | None:
         return None
 
 
+def has_16_bits(file: Path) -> bool:
+    """Whether the header of an image file declares gray samples of 16 bits."""
+    try:
+        with catch_warnings(action="ignore"), PillowImage.open(file) as header_image:
+            return header_image.mode.startswith("I;16")
+    except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError):
+        return False
+
+
 def _rgb_from_stored(stored: Any) -> Image:
     if stored.ndim == 2 or stored.shape[2] == 1:
         return np.asarray(stored.reshape(stored.shape[:2]), dtype=np.uint8)

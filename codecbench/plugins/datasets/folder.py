@@ -11,7 +11,7 @@ from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Dataset, Depth, FrameSequence, Origin
-from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size
+from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size, has_16_bits
 from codecbench.plugins.datasets.selection import DepthParams, FolderSelection, GivenCameraParams
 
 
@@ -22,7 +22,10 @@ class FolderParams(FolderSelection, GivenCameraParams, DepthParams):
 
 
 class Folder(Dataset[FolderParams]):
-    """Image files in natural order (2 before 10), of any sizes; no ground truth."""
+    """Image files in natural order (2 before 10), of any sizes; no ground truth.
+
+    Of 16 bits, with `depth` in its name, a folder is recognized as depth in millimeters.
+    """
 
     name: ClassVar[str] = "folder"
     version: ClassVar[str] = "1"
@@ -31,8 +34,11 @@ class Folder(Dataset[FolderParams]):
 
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
-        has_images = path.is_dir() and any(file.suffix.lower() in EXTENSIONS for file in path.iterdir())
-        return {"path": str(path)} if has_images else None
+        images = [file for file in path.iterdir() if file.suffix.lower() in EXTENSIONS] if path.is_dir() else []
+        if not images:
+            return None
+        called_depth = "depth" in path.resolve().name.lower() or "depth" in images[0].name.lower()
+        return {"path": str(path), **({"depth_unit_m": 0.001} if called_depth and has_16_bits(images[0]) else {})}
 
     def open(self) -> FrameSequence:
         params = self.params
@@ -41,6 +47,7 @@ class Folder(Dataset[FolderParams]):
         chosen = params.indices(len(files), str(folder))
         known = params.given_camera(lambda: frame_size(files[chosen[0]], chosen[0]))
         depth = None if params.depth_unit_m is None else Depth(params.depth_unit_m, params.depth_unknown)
+        depth_notes = () if depth is None else (f"its pixels are taken as distances in steps of {depth.unit_m:g} m",)
         content = Content(
             name=folder.resolve().name,
             where=str(folder),
@@ -52,7 +59,7 @@ class Folder(Dataset[FolderParams]):
             depth=depth,
             color=params.color,
             sizes_differ=True,
-            notes=(*params.subset_notes(len(files)), *known.notes),
+            notes=(*params.subset_notes(len(files)), *known.notes, *depth_notes),
             origin=Origin("folder of images" if depth is None else "folder of depth images", known.source),
         )
         return params.as_asked(FileSequence(content))

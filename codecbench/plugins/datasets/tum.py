@@ -76,6 +76,9 @@ class Tum(Dataset[TumParams]):
 
     @classmethod
     def recognise(cls, path: Path) -> dict[str, Any] | None:
+        if path.name == "depth" and (path.parent / "depth.txt").is_file():
+            params = cls.recognise(path.parent)
+            return None if params is None else {**params, "stream": "depth"}
         if not (path / "rgb.txt").is_file():
             return None
         camera = (path / "calib.yaml").is_file() or _FOLDER_NAME.search(path.resolve().name)
