@@ -151,7 +151,8 @@ def _scene(run: Path, job: CodingJob, frame_rate_hz: float | None, size: str | N
         if len(sides) != 2 or not all(side.isdecimal() and int(side) > 0 for side in sides):
             raise click.UsageError(f"--size {size}: not WIDTHxHEIGHT in pixels, such as 640x480")
         width, height = map(int, sides)
-    return recipes.Scene(height, width, job.sequence.channels, facts[0] if frame_rate_hz is None else frame_rate_hz)
+    layout, rate = job.sequence.layout, facts[0] if frame_rate_hz is None else frame_rate_hz
+    return recipes.Scene(height, width, layout.channels, rate, layout.bits)
 
 
 def frames_of(registry: Registry, dataset: str, params: dict[str, Any]) -> list[float]:

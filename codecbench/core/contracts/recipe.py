@@ -20,6 +20,8 @@ class Scene:
     channels: int
     """1 gray, 3 RGB."""
     frame_rate_hz: float
+    bits: int = 8
+    """Bits of a sample, 8 or 16."""
 
     @property
     def rate(self) -> Fraction:
@@ -37,7 +39,7 @@ class Recipe:
     text: str
     """The code; empty if the stack has no such codec or option.
 
-    Python code defines `encode(frame)`, which returns the bytes of a uint8 frame in the layout that its argument names:
+    Python code defines `encode(frame)`, which returns the bytes of a frame in the layout that its argument names:
     `rgb`, `bgr` or `gray`. Given None at the end of a stream, it returns what the encoder held back."""
     note: str = ""
     """How the output differs from what was measured, or why there is no text; empty for neither."""

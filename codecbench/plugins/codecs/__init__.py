@@ -7,10 +7,9 @@ from codecbench.core.contracts.hooks import PluginSpec, hookimpl
 _HERE = "codecbench.plugins.codecs"
 
 
-def _imagecodecs(name: str, target: str, summary: str) -> PluginSpec:
-    return PluginSpec(
-        name, f"{_HERE}.imagecodecs:{target}", summary, requires=("imagecodecs",), extra="codecbench[codecs]"
-    )
+def _imagecodecs(name: str, target: str, summary: str, module: str = "imagecodecs") -> PluginSpec:
+    path = f"{_HERE}.{module}:{target}"
+    return PluginSpec(name, path, summary, requires=("imagecodecs",), extra="codecbench[codecs]")
 
 
 def _video(name: str, target: str, summary: str) -> PluginSpec:
@@ -47,6 +46,11 @@ def codecbench_codecs() -> list[PluginSpec]:
         _imagecodecs("htj2k", "Htj2k", "High-Throughput JPEG 2000 through imagecodecs and OpenJPH"),
         _imagecodecs("webp", "Webp", "WebP through imagecodecs and libwebp"),
         _imagecodecs("avif", "Avif", "AVIF through imagecodecs and libavif"),
+        PluginSpec("rvl", f"{_HERE}.rvl:Rvl", "RVL of 16-bit depth frames, lossless, as ROS 2 sends it"),
+        _imagecodecs("zstd", "Zstd", "Zstandard of the pixels through imagecodecs, lossless", "arrays"),
+        _imagecodecs("lz4", "Lz4", "LZ4 of the pixels through imagecodecs, lossless", "arrays"),
+        _imagecodecs("lerc", "Lerc", "LERC of 16-bit frames through imagecodecs, by the largest error", "arrays"),
+        _imagecodecs("zfp", "Zfp", "ZFP of 16-bit frames through imagecodecs, by the largest error", "arrays"),
         _video("h264", "H264", "H.264 video through PyAV and x264, or a hardware encoder"),
         _video("hevc", "Hevc", "HEVC video through PyAV and x265"),
         _video("av1", "Av1", "AV1 video through PyAV and SVT-AV1"),

@@ -7,7 +7,7 @@ import zlib
 from itertools import accumulate
 
 from codecbench.core.contracts.errors import BitstreamError
-from codecbench.core.contracts.image import MAX_PIXELS
+from codecbench.core.contracts.image import LAYOUTS, MAX_PIXELS
 
 MAX_JP2_PIXELS = MAX_PIXELS // 4
 """OpenJPEG holds an image twice, in planes of 32-bit numbers."""
@@ -24,7 +24,7 @@ _IHDR = struct.Struct(">IIHBBBB")
 _SOT = struct.Struct(">HIBB")
 _TILE_PART_LENGTH = 6
 """Offset of the tile-part length from SOT's marker."""
-_EIGHT_BITS, _WAVELET_COMPRESSION = 7, 7
+_WAVELET_COMPRESSION = 7
 _BLOCKS = ((4, 4, 0), (3, 3, 0), (2, 2, 0))  # 64x64, 32x32 and 16x16 code blocks, no special coding
 _MAX_DECOMPOSITIONS = 5
 MAX_LAYERS = 16
@@ -58,19 +58,19 @@ def _check_crc(bitstream: bytes) -> None:
         raise BitstreamError("jpeg2000: checksum mismatch, the file is damaged")
 
 
-def read_shape(bitstream: bytes) -> tuple[int, ...]:
-    """Check the structure of a JP2 file from end to end and return the shape that it promises.
+def read_shape(bitstream: bytes) -> tuple[tuple[int, ...], int]:
+    """Check the structure of a JP2 file from end to end; return the shape that it promises and the bits of its samples.
 
     Accepts what our encoder writes: four boxes, one tile in one part, up to MAX_LAYERS consecutive layers, 8-bit
-    components without subsampling, default precincts, square code blocks, and a right checksum. Raises BitstreamError
-    for anything else.
+    components or a 16-bit one without subsampling, default precincts, square code blocks, and a right checksum. Raises
+    BitstreamError for anything else.
     """
     _check_crc(bitstream)
     return _read_structure(bitstream)
 
 
-def file_from_prefix(prefix: bytes) -> tuple[bytes, tuple[int, ...]]:
-    """Make a decodable file of the first bytes of one of ours: fix its lengths, append EOC; returns its shape too.
+def file_from_prefix(prefix: bytes) -> tuple[bytes, tuple[tuple[int, ...], int]]:
+    """Make a decodable file of the first bytes of one of ours: fix its lengths, append EOC; returns shape and bits too.
 
     With layers the file ends after the last complete packet: if a packet is cut inside a code block, OpenJPEG drops
     what earlier layers contributed to the block. The checksum stays that of the whole file. Raises BitstreamError if
@@ -117,7 +117,7 @@ def _read_packet_lengths(bitstream: bytes, position: int) -> tuple[int, list[int
     return position + 2, lengths
 
 
-def _read_structure(bitstream: bytes) -> tuple[int, ...]:
+def _read_structure(bitstream: bytes) -> tuple[tuple[int, ...], int]:
     boxes = _read_boxes(bitstream, 0, len(bitstream))
     if tuple(kind for kind, _, _ in boxes) != _BOXES or bitstream[8:12] != _SIGNATURE:
         raise BitstreamError(f"jpeg2000: not a JP2 file of codecbench: boxes {[kind for kind, _, _ in boxes]}")
@@ -127,14 +127,15 @@ def _read_structure(bitstream: bytes) -> tuple[int, ...]:
     if [kind for kind, _, _ in inner] != [b"ihdr", b"colr"] or inner[0][2] - inner[0][1] != _IHDR.size:
         raise BitstreamError("jpeg2000: the JP2 header must contain one image header and one color box")
     height, width, channels, depth, compression, *_ = _IHDR.unpack_from(bitstream, inner[0][1])
-    if channels not in (1, 3) or depth != _EIGHT_BITS or compression != _WAVELET_COMPRESSION:
-        raise BitstreamError(f"jpeg2000: {channels} components, depth field {depth}; 1 or 3 of 8 bits are read")
+    if (channels, depth + 1) not in LAYOUTS or compression != _WAVELET_COMPRESSION:
+        got = f"{channels} components, depth field {depth}"
+        raise BitstreamError(f"jpeg2000: {got}; 1 or 3 of 8 bits and 1 of 16 are read")
     if not 0 < height * width <= MAX_JP2_PIXELS:
         raise BitstreamError(f"jpeg2000: {width}x{height} is not within 1..{MAX_JP2_PIXELS} pixels")
     if bitstream[inner[1][1] : inner[1][2]] != _COLOR_SPACES[channels]:
         raise BitstreamError(f"jpeg2000: the color box does not fit {channels} component(s)")
-    _check_codestream(bitstream, boxes[3][1], width, height, channels)
-    return (height, width) if channels == 1 else (height, width, channels)
+    _check_codestream(bitstream, boxes[3][1], (width, height, channels, depth))
+    return ((height, width) if channels == 1 else (height, width, channels)), depth + 1
 
 
 def _read_boxes(bitstream: bytes, start: int, end: int) -> list[tuple[bytes, int, int]]:
@@ -151,8 +152,11 @@ def _read_boxes(bitstream: bytes, start: int, end: int) -> list[tuple[bytes, int
     return boxes
 
 
-def _check_codestream(bitstream: bytes, start: int, width: int, height: int, channels: int) -> None:
-    """Check main header, tile-part header and end of the codestream that starts at `start`."""
+def _check_codestream(bitstream: bytes, start: int, size: tuple[int, int, int, int]) -> None:
+    """Check main header, tile-part header and end of the codestream that starts at `start`.
+
+    size: width, height, channels and depth field.
+    """
     if bitstream[start : start + 2] != SOC.to_bytes(2, "big"):
         raise BitstreamError("jpeg2000: the codestream does not start with SOC")
     position, seen = start + 2, []
@@ -160,9 +164,9 @@ def _check_codestream(bitstream: bytes, start: int, width: int, height: int, cha
         code, content = _read_marker_segment(bitstream, position)
         seen.append(code)
         if code == SIZ:
-            _check_size(content, width, height, channels)
+            _check_size(content, *size)
         elif code == COD:
-            _check_coding_style(content, channels)
+            _check_coding_style(content, size[2])
         elif code == SOT:
             break
         elif code not in (QCD, COM):
@@ -188,12 +192,12 @@ def _read_marker_segment(bitstream: bytes, position: int) -> tuple[int, bytes]:
     return code, bitstream[position + 4 : position + 2 + length]
 
 
-def _check_size(content: bytes, width: int, height: int, channels: int) -> None:
+def _check_size(content: bytes, width: int, height: int, channels: int, depth: int) -> None:
     if len(content) != _SIZ.size + 3 * channels:
         raise BitstreamError(f"jpeg2000: SIZ has {len(content)} bytes for {channels} components")
     _, *numbers = _SIZ.unpack_from(content)
     components = content[_SIZ.size :]
-    if numbers != [width, height, 0, 0, width, height, 0, 0, channels] or components != b"\x07\x01\x01" * channels:
+    if numbers != [width, height, 0, 0, width, height, 0, 0, channels] or components != bytes((depth, 1, 1)) * channels:
         raise BitstreamError(f"jpeg2000: SIZ {numbers} is not one tile of {width}x{height}x{channels}")
 
 

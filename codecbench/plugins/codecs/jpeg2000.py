@@ -38,7 +38,7 @@ from codecbench.plugins.codecs.jp2_syntax import (
     read_shape,
 )
 from codecbench.plugins.codecs.openjpeg import lenient_decoding, load_glymur
-from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, ffmpeg, gstreamer, opencv
+from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, ffmpeg, gstreamer, opencv, pixel_format
 
 _RESOLUTIONS = 6  # OpenJPEG's default: five decompositions if the image is large enough
 _BLOCK_SIDES = (64, 32, 16)  # OpenJPEG's default code blocks, and finer ones
@@ -113,7 +113,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
     name = "jpeg2000"
     version = "1"
     params_type = Jpeg2000Params
-    capabilities = Capabilities(thread_safe=False, partial_decoding=True)
+    capabilities = Capabilities(bits=(8, 16), thread_safe=False, partial_decoding=True)
     examples = (
         {"ratio": 8},
         {"psnr_db": 35},
@@ -167,7 +167,8 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         text += "        return path.read_bytes()"
         python = Recipe("Python, glymur 0.14 with OpenJPEG 2.5", "python", text)
         if params.lossless and params.layers == 1:
-            caps = "format=GRAY8" if scene.channels == 1 else "format=xRGB"
+            gray = "format=GRAY8" if scene.bits == 8 else "format=GRAY16_LE"
+            caps = gray if scene.channels == 1 else "format=xRGB"
             return gstreamer(scene, caps, "openjpegenc", "%06d.jp2"), python
         return (*self._ratio_recipes(scene), python)
 
@@ -179,7 +180,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
             return
         note = "" if params.layers == 1 else "It writes one layer, so a cut frame loses fine detail everywhere."
         level = round(params.ratio / 2)  # FFmpeg asks OpenJPEG for twice this ratio
-        layout = "gray" if scene.channels == 1 else "rgb24"
+        layout = pixel_format(scene)
         options = f"-c:v libopenjpeg -pix_fmt {layout} -compression_level {level} -irreversible {params.irreversible:d}"
         if level == params.ratio / 2:
             yield ffmpeg(scene, [options], "%06d.jp2", note)
@@ -188,7 +189,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         yield opencv(scene, ".jp2", {"IMWRITE_JPEG2000_COMPRESSION_X1000": round(1000 / params.ratio)}, note)
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        return self._read(bitstream, read_shape(bitstream))
+        return self._read(bitstream, *read_shape(bitstream))
 
     def decode_partial(self, fragments: Sequence[Fragment], *, trace: Trace = NULL_TRACE) -> PartialImage:
         """Decode what comes before the first gap: layer by layer, coarse resolutions first.
@@ -199,12 +200,12 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         first = fragments[0]
         if len(fragments) == 1 and first.offset == 0 and first.data.endswith(EOC.to_bytes(2, "big")):
             return PartialImage.of_whole(self.decode(first.data))  # no data have these two bytes, T.800 A.1
-        file, shape = file_from_prefix(first.data if first.offset == 0 else b"")
+        file, (shape, bits) = file_from_prefix(first.data if first.offset == 0 else b"")
         with lenient_decoding(self._glymur):
-            image = self._read(file, shape)
+            image = self._read(file, shape, bits)
         return PartialImage(image, np.zeros(shape[:2], dtype=bool))
 
-    def _read(self, bitstream: bytes, shape: tuple[int, ...]) -> Image:
+    def _read(self, bitstream: bytes, shape: tuple[int, ...], bits: int) -> Image:
         with _scratch_file() as path:
             path.write_bytes(bitstream)
             try:
@@ -213,9 +214,10 @@ class Jpeg2000(Codec[Jpeg2000Params]):
                     pixels = self._glymur.Jp2k(path)[:]
             except _PARSER_ERRORS as error:
                 raise BitstreamError(f"jpeg2000: OpenJPEG cannot read the file: {error}") from error
-        if pixels.shape != shape or pixels.dtype != np.uint8:
-            raise BitstreamError(f"jpeg2000: the header declares {shape}, OpenJPEG read {pixels.shape} {pixels.dtype}")
-        return np.asarray(pixels, dtype=np.uint8)
+        if pixels.shape != shape or pixels.dtype != f"uint{bits}":
+            got = f"OpenJPEG read {pixels.shape} {pixels.dtype}"
+            raise BitstreamError(f"jpeg2000: the header declares {shape} uint{bits}, {got}")
+        return np.asarray(pixels, dtype=f"uint{bits}")
 
     def libraries(self) -> dict[str, str]:
         return {"glymur": self._glymur.__version__, "openjpeg": self._glymur.lib.openjp2.version()}
@@ -228,7 +230,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         Unsupported if even the smallest file exceeds the target.
         """
         target_bytes = int(len(png_bytes(image)) * (1 - cr_percent / 100))
-        best, smallest = None, image.size
+        best, smallest = None, image.nbytes
         for block_side in _BLOCK_SIDES:
             trial, least, in_full = self._search(image, target_bytes, block_side)
             best, smallest = _larger(best, trial), min(smallest, least)
@@ -244,10 +246,10 @@ class Jpeg2000(Codec[Jpeg2000Params]):
         Returns the largest file that fits, the smallest size met, and whether no budget was too large.
         """
         aim = (1 - _TOLERANCE / 2) * target_bytes
-        fits, exceeds, budget = 0, image.size, max(target_bytes, 1)
-        best, smallest = None, image.size
+        fits, exceeds, budget = 0, image.nbytes, max(target_bytes, 1)
+        best, smallest = None, image.nbytes
         for _ in range(_MAX_TRIES):
-            ratio = max(image.size / budget, 1.0)
+            ratio = max(image.nbytes / budget, 1.0)
             trial = _Trial(block_side, ratio, self._write(image, block_side, cratios=[ratio]))
             size = len(trial.file)
             smallest = min(smallest, size)
@@ -260,7 +262,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
             budget += round(aim - size)
             if not fits < budget < exceeds:
                 budget = (fits + exceeds) // 2
-        return best, smallest, exceeds == image.size
+        return best, smallest, exceeds == image.nbytes
 
     def _write(self, image: Image, block_side: int = _BLOCK_SIDES[0], **rate: list[float]) -> bytes:
         settings = self._settings(image.shape, block_side)
@@ -289,7 +291,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
 
 
 def _check_size(image: Image) -> Image:
-    image = check_image(image)
+    image = check_image(image, bits=Jpeg2000.capabilities.bits)
     if image.shape[0] * image.shape[1] > MAX_JP2_PIXELS:
         raise ImageError(f"jpeg2000: an image of shape {image.shape} exceeds {MAX_JP2_PIXELS} pixels")
     return image

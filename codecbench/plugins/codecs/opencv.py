@@ -38,20 +38,20 @@ def flags(options: Options) -> list[int]:
     return [number for name, value in pairs for number in (getattr(cv2, name), value)]
 
 
-def read_image(bitstream: bytes, shape: tuple[int, ...], name: str) -> Image:
-    """Decode a file whose header promises `shape` to a gray or RGB image; EXIF orientation is not applied.
+def read_image(bitstream: bytes, shape: tuple[int, ...], name: str, bits: int = 8) -> Image:
+    """Decode a file whose header promises `shape` and `bits` to a gray or RGB image; EXIF orientation is not applied.
 
-    Raises BitstreamError if OpenCV finds no image or another shape.
+    Raises BitstreamError if OpenCV finds no image or another shape or dtype.
     """
     try:
         stored = cv2.imdecode(np.frombuffer(bitstream, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise BitstreamError(f"{name}: OpenCV cannot read the file: {error}") from error
-    if stored is None or stored.shape != shape or stored.dtype != np.uint8:
+    if stored is None or stored.shape != shape or stored.dtype != f"uint{bits}":
         got = "nothing" if stored is None else f"{stored.dtype} of shape {stored.shape}"
-        raise BitstreamError(f"{name}: the header declares uint8 of shape {shape}, OpenCV read {got}")
+        raise BitstreamError(f"{name}: the header declares uint{bits} of shape {shape}, OpenCV read {got}")
     pixels = stored if stored.ndim == 2 else cv2.cvtColor(stored, cv2.COLOR_BGR2RGB)
-    return np.asarray(pixels, dtype=np.uint8)
+    return np.asarray(pixels, dtype=f"uint{bits}")
 
 
 def library_versions(row: str, library: str) -> dict[str, str]:

@@ -15,7 +15,13 @@ from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.opencv import Options, flags, library_versions, read_image, write_image
-from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, compressed_image_transport, opencv
+from codecbench.plugins.codecs.recipes import (
+    FFMPEG,
+    GSTREAMER,
+    compressed_depth_image_transport,
+    compressed_image_transport,
+    opencv,
+)
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK = struct.Struct(">I4s")
@@ -39,11 +45,11 @@ class Png(Codec[PngParams]):
     name = "png"
     version = "1"
     params_type = PngParams
-    capabilities = Capabilities(lossless=True)
+    capabilities = Capabilities(bits=(8, 16), lossless=True)
     examples = ({}, {"effort": 9})
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        image = check_image(image)
+        image = check_image(image, bits=self.capabilities.bits)
         if image.shape[0] * image.shape[1] > MAX_PIXELS:
             raise ImageError(f"png: an image of shape {image.shape} exceeds the {MAX_PIXELS} pixels of a decoder")
         return write_image(image, ".png", flags(self._options()))
@@ -55,8 +61,9 @@ class Png(Codec[PngParams]):
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         effort = self.params.effort
         level = "" if effort is not None else "No level equals OpenCV's default; 1 came within 1 % of it."
+        transport = compressed_image_transport if scene.bits == 8 else compressed_depth_image_transport
         return (
-            compressed_image_transport({"format": "png", "png_level": 1 if effort is None else effort}, level),
+            transport({"format": "png", "png_level": 1 if effort is None else effort}, level),
             opencv(scene, ".png", self._options()),
             Recipe(
                 GSTREAMER, "sh", "", "pngenc filters no rows: frames of the same level were up to 1.6 times as large."
@@ -67,27 +74,29 @@ class Png(Codec[PngParams]):
         )
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        return read_image(bitstream, _read_shape(bitstream), "png")
+        shape, bits = _read_shape(bitstream)
+        return read_image(bitstream, shape, "png", bits)
 
     def libraries(self) -> dict[str, str]:
         return library_versions("PNG", "libpng")
 
 
-def _read_shape(bitstream: bytes) -> tuple[int, ...]:
-    """Check every chunk and its CRC, and return the shape that a PNG file promises.
+def _read_shape(bitstream: bytes) -> tuple[tuple[int, ...], int]:
+    """Check every chunk and its CRC, and return the shape that a PNG file promises, and the bits of its samples.
 
-    Accepts what `encode` writes: 8 bits, gray or RGB, not interlaced, nothing after the end.
+    Accepts what `encode` writes: 8 bits, gray or RGB, or 16 bits, gray, not interlaced, nothing after the end.
     """
     if bitstream[: len(_SIGNATURE)] != _SIGNATURE:
         raise BitstreamError(f"png: no PNG signature in {bitstream[:8]!r}")
     shape: tuple[int, ...] | None = None
+    bits = 0
     compressed_bytes, position, kind = 0, len(_SIGNATURE), b""
     while kind != b"IEND":
         kind, content, position = _read_chunk(bitstream, position)
         if (kind == b"IHDR") != (shape is None):
             raise BitstreamError(f"png: chunk {kind!r} is misplaced: IHDR comes first and once")
         if kind == b"IHDR":
-            shape = _shape_from_header(content)
+            shape, bits = _shape_from_header(content)
         elif kind == b"IDAT":
             compressed_bytes += len(content)
         elif kind != b"IEND":
@@ -95,10 +104,10 @@ def _read_shape(bitstream: bytes) -> tuple[int, ...]:
     if position != len(bitstream):
         raise BitstreamError(f"png: {len(bitstream) - position} bytes after the end")
     assert shape is not None
-    row_bytes = 1 + shape[1] * (3 if len(shape) == 3 else 1)
+    row_bytes = 1 + shape[1] * (3 if len(shape) == 3 else 1) * bits // 8
     if shape[0] * row_bytes > _MAX_DEFLATE_RATIO * compressed_bytes:
         raise BitstreamError(f"png: {compressed_bytes} compressed bytes are too few for an image of shape {shape}")
-    return shape
+    return shape, bits
 
 
 def _read_chunk(bitstream: bytes, position: int) -> tuple[bytes, memoryview, int]:
@@ -115,12 +124,13 @@ def _read_chunk(bitstream: bytes, position: int) -> tuple[bytes, memoryview, int
     return kind, memoryview(bitstream)[position + _CHUNK.size : end], end + _CRC.size
 
 
-def _shape_from_header(content: memoryview) -> tuple[int, ...]:
+def _shape_from_header(content: memoryview) -> tuple[tuple[int, ...], int]:
     if len(content) != _HEADER.size:
         raise BitstreamError(f"png: IHDR has {len(content)} bytes, not {_HEADER.size}")
     width, height, depth, color, compression, filtering, interlace = _HEADER.unpack(content)
-    if depth != 8 or color not in (_GRAY, _RGB) or compression or filtering or interlace:
-        raise BitstreamError(f"png: depth {depth}, color type {color}, interlace {interlace}; 8, 0 or 2, 0 are read")
+    if (depth, color) not in ((8, _GRAY), (8, _RGB), (16, _GRAY)) or compression or filtering or interlace:
+        got = f"depth {depth}, color type {color}, interlace {interlace}"
+        raise BitstreamError(f"png: {got}; depth 8 of color type 0 or 2, and 16 of 0 are read, not interlaced")
     if not 0 < width * height <= MAX_PIXELS:
         raise BitstreamError(f"png: {width}x{height} is not within 1..{MAX_PIXELS} pixels")
-    return (height, width) if color == _GRAY else (height, width, 3)
+    return ((height, width) if color == _GRAY else (height, width, 3)), depth

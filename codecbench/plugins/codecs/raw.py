@@ -3,11 +3,11 @@
 A bitstream is little-endian:
 
     bytes  content
-    4      magic `RAW1`
+    4      magic `RAW1`, or `RAW2` if a sample has two bytes
     1      channels: 1 gray, 3 RGB
     4      width
     4      height
-    ...    height x width x channels pixels, row by row
+    ...    height x width x channels samples, row by row
     4      CRC-32 of everything before it
 """
 
@@ -21,12 +21,12 @@ import numpy as np
 
 from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import BitstreamError, ImageError
-from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image
+from codecbench.core.contracts.image import LAYOUTS, MAX_PIXELS, Image, Layout, channel_count, check_image
 from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 
-_MAGIC = b"RAW1"
+_DTYPES = {b"RAW1": "u1", b"RAW2": "<u2"}
 _HEADER = struct.Struct("<4sBII")
 _CRC = struct.Struct("<I")
 
@@ -37,18 +37,20 @@ class Raw(Codec[NoParams]):
     name = "raw"
     version = "1"
     params_type = NoParams
-    capabilities = Capabilities(lossless=True)
+    capabilities = Capabilities(bits=(8, 16), lossless=True)
     examples = ({},)
     reference = "baseline"
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        image = check_image(image)
+        image = check_image(image, bits=self.capabilities.bits)
         height, width = image.shape[:2]
         if height * width > MAX_PIXELS:
             raise ImageError(
                 f"raw: an image of {width}x{height} exceeds the {MAX_PIXELS} pixels that a decoder accepts"
             )
-        content = _HEADER.pack(_MAGIC, channel_count(image), width, height) + image.tobytes()
+        magic = b"RAW%d" % image.itemsize
+        header = _HEADER.pack(magic, channel_count(image), width, height)
+        content = header + image.astype(_DTYPES[magic], copy=False).tobytes()
         return content + _CRC.pack(zlib.crc32(content))
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
@@ -61,14 +63,16 @@ class Raw(Codec[NoParams]):
         if len(bitstream) < _HEADER.size + _CRC.size:
             raise BitstreamError(f"raw: {len(bitstream)} bytes are too few for a header and a checksum")
         magic, channels, width, height = _HEADER.unpack_from(bitstream)
-        if magic != _MAGIC or channels not in (1, 3):
+        dtype = np.dtype(_DTYPES.get(magic, "V"))
+        layout = Layout(channels, 8 * dtype.itemsize)
+        if layout not in LAYOUTS:
             raise BitstreamError(f"raw: not a raw bitstream (magic {magic!r}, {channels} channels)")
-        expected = _HEADER.size + width * height * channels + _CRC.size
+        expected = _HEADER.size + width * height * channels * dtype.itemsize + _CRC.size
         if not 0 < width * height <= MAX_PIXELS or len(bitstream) != expected:
             raise BitstreamError(f"raw: {width}x{height}x{channels} needs {expected} bytes, got {len(bitstream)}")
         (crc,) = _CRC.unpack_from(bitstream, len(bitstream) - _CRC.size)
         if crc != zlib.crc32(memoryview(bitstream)[: -_CRC.size]):
             raise BitstreamError("raw: checksum mismatch, the bitstream is damaged")
         shape = (height, width) if channels == 1 else (height, width, channels)
-        pixels = np.frombuffer(bitstream, np.uint8, width * height * channels, _HEADER.size)
-        return pixels.reshape(shape).copy()
+        pixels = np.frombuffer(bitstream, dtype, width * height * channels, _HEADER.size)
+        return pixels.reshape(shape).astype(f"uint{layout.bits}")

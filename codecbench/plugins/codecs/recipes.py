@@ -11,11 +11,19 @@ from typing import Final
 from codecbench.core.contracts.recipe import Recipe, Scene
 
 COMPRESSED: Final = "ROS 2 compressed_image_transport 2.5 to 6.2 (Humble to Rolling)"
+COMPRESSED_DEPTH: Final = "ROS 2 compressed_depth_image_transport 4.0 to 6.2 (Jazzy to Rolling)"
+MAX_DEPTH_M: Final = 65.535
+"""The transport makes greater depths 0; it takes a step of a frame for a millimeter."""
 GSTREAMER: Final = "GStreamer 1.22"
 FFMPEG: Final = "ffmpeg 5.1"
 CONVERSION: Final = "GStreamer converts color less exactly, so lossless and near-lossless frames differ."
 FULL_RANGE: Final = "colorimetry=1:4:0:0"
 """Full-range BT.601. Without it GStreamer converts to limited range, with fewer bytes and other pixels."""
+
+
+def pixel_format(scene: Scene) -> str:
+    """Return FFmpeg's name of the layout of the frames."""
+    return "rgb24" if scene.channels == 3 else "gray" if scene.bits == 8 else "gray16le"
 
 
 def sentences(*notes: str) -> str:
@@ -29,6 +37,13 @@ def compressed_image_transport(keys: Mapping[str, str | int], note: str = "") ->
     new, old = ([f"{' ' * indent}{name}" for name in names] for indent in (8, 6))
     lines = ["/**:", "  ros__parameters:", "    image_raw:", "      compressed:", *new, "      # Humble:", *old]
     return Recipe(COMPRESSED, "yaml", "\n".join(lines), note)
+
+
+def compressed_depth_image_transport(keys: Mapping[str, str | int], note: str = "") -> Recipe:
+    """Recipe of parameters for the node that publishes depth frames of 16 bits as `image_raw`."""
+    lines = [f"        {key}: {value}" for key, value in {**keys, "depth_max": MAX_DEPTH_M}.items()]
+    lines = ["/**:", "  ros__parameters:", "    image_raw:", "      compressedDepth:", *lines]
+    return Recipe(COMPRESSED_DEPTH, "yaml", "\n".join(lines), note)
 
 
 def opencv(scene: Scene, extension: str, options: Mapping[str, int | str], note: str = "") -> Recipe:

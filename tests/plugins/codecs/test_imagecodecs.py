@@ -18,7 +18,7 @@ from skimage.metrics import peak_signal_noise_ratio
 pytest.importorskip("imagecodecs", reason="the extra `codecs` is not installed")
 
 from codecbench import BitstreamError
-from codecbench.plugins.codecs import imagecodecs
+from codecbench.plugins.codecs import enveloped
 from codecbench.plugins.codecs.imagecodecs import Avif, Htj2k, JpegLs, JpegXl, Webp
 
 PICTURE = np.ascontiguousarray(skimage.data.astronaut()[60:188, 100:261])
@@ -86,7 +86,7 @@ def test_a_file_that_declares_another_size_is_not_decoded(
     """Their libraries allocate for what the file declares, and compare it afterwards."""
     codec = codec_class.create()
     content = codec.encode(np.full((1200, 900, 3), 120, np.uint8))[_ENVELOPE_BYTES:]
-    header = imagecodecs._HEADER.pack(codec.magic, 3, 0, shape[1], shape[0])
+    header = enveloped._HEADER.pack(codec.magic, 3, 0, shape[1], shape[0])
     monkeypatch.setattr(codec, "_library", None)
     with pytest.raises(BitstreamError, match="declare"):
         codec.decode(header + zlib.crc32(content, zlib.crc32(header)).to_bytes(4, "little") + content)

@@ -61,7 +61,7 @@ def test_every_flipped_bit_is_noticed() -> None:
         (_file(1 << 20, 1 << 20, bytes(10)), "pixels"),
         (_file(8000, 8000, bytes(10)), "too few"),
         (_file(0, 5, b""), "pixels"),
-        (_file(3, 2, bytes(2 * 7), depth=16), "depth 16"),
+        (_file(3, 2, bytes(2 * 19), depth=16, color=2), "depth 16"),
         (_file(3, 2, bytes(2 * 13), color=6), "color type 6"),
         (_file(3, 2, bytes(2 * 4), interlace=1), "interlace 1"),
         (_file(3, 2, bytes(2 * 4)) + b"\0", "after the end"),
