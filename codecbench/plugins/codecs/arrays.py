@@ -26,11 +26,12 @@ class _Bytes(EnvelopedCodec[P]):
     capabilities = Capabilities(bits=(8, 16), lossless=True)
 
     def _decode(self, content: bytes, shape: tuple[int, ...], dtype: str) -> NDArray[Any]:
-        samples = np.empty(math.prod(shape) * np.dtype(dtype).itemsize, np.uint8)
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        samples = np.empty(size + 1, np.uint8)  # LZ4 fills what there is and does not tell of more
         decoded = getattr(self._library, f"{self.function}_decode")(content, out=samples)
-        if len(decoded) != len(samples):
-            raise BitstreamError(f"{self.name}: {len(decoded)} bytes are not an image of shape {shape}")
-        return samples.view(dtype).reshape(shape)
+        if len(decoded) != size:
+            raise BitstreamError(f"{self.name}: {len(decoded)} bytes or more are not an image of shape {shape}")
+        return samples[:size].view(dtype).reshape(shape)
 
 
 class ZstdParams(Params):

@@ -120,9 +120,9 @@ def encode_runs(pixels: Any, words: Any) -> Any:
             previous = pixel
             folded = (delta << 1) ^ (delta >> 63)
             if folded < 64:  # one nibble or two, without a branch
-                two = np.int64(folded > 7)
-                word = (word << 4 | two << 3 | folded & 7) << 4 * two | folded >> 3
-                bits += 4 + 4 * two
+                more = np.int64(folded > 7)
+                word = (word << 4 | more << 3 | folded & 7) << (more << 2) | folded >> 3
+                bits += 4 + (more << 2)
             else:
                 word, bits, position = _put(folded, word, bits, position, words)
             if bits >= 32:
