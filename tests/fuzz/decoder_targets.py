@@ -40,16 +40,18 @@ class Target:
         return installed().load("codec", self.name)
 
     def seeds(self, shapes: tuple[tuple[int, ...], ...]) -> list[bytes]:
-        """Bitstreams of pictures of these shapes at every example setting that takes them."""
+        """Bitstreams of pictures of these shapes, of 8 and 16 bits, at every example setting that takes them."""
         from codecbench import ImageError, Unsupported
 
         cls, bitstreams = self.codec_class(), []
         for example in cls.examples:
             for seed, shape in enumerate(shapes):
-                try:
-                    bitstreams.append(cls.create(**example).encode(_picture(shape, seed)))
-                except (ImageError, Unsupported):
-                    continue
+                picture = _picture(shape, seed)
+                for image in (picture * np.uint16(250), picture):
+                    try:
+                        bitstreams.append(cls.create(**example).encode(image))
+                    except (ImageError, Unsupported):
+                        continue
         return bitstreams
 
 
@@ -124,5 +126,6 @@ TARGETS = {
         Target("jpeg_qf", _jpeg_qf_crc),
         Target("jpeg2000", _jp2_crc),
         Target("multilevel", _multilevel_crcs),
+        Target("rvl", _unrepaired),
     )
 }

@@ -38,7 +38,7 @@ def judge(codec: Any, data: bytes) -> Verdict:
     before, start = _peak_bytes(), time.perf_counter()
     try:
         pixels = codec.decode(data)
-        check_image(pixels)
+        check_image(pixels, bits=(8, 16))
         kind, text = "decoded", f"{pixels.ndim} dimensions"
     except BitstreamError as error:
         kind, text = "refused", _PARTICULARS.sub("#", str(error))

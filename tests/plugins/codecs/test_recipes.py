@@ -16,10 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
 from codecbench import AnyCodec, Image, Recipe, Scene, encoder_of, gray_from_image
+from codecbench.core.contracts.image import Layout, layout_of
 from codecbench.core.engine.plugins.registry import installed
 
 RATE_HZ = 30.0
@@ -27,6 +29,7 @@ NEAR = 0.05
 DIFFERS = ("smaller", "larger", "depend on", "gave", "less exactly", "always has a tune")
 """Words of notes that say that other bytes are sent."""
 COMPRESSED = {"format": str, "jpeg_quality": int, "png_level": int}
+COMPRESSED_DEPTH = {"format": str, "png_level": int, "depth_max": float}
 TRANSPORT = {
     "encoder": str, "encoder_av_options": str, "pixel_format": str, "qmax": int, "bit_rate": int, "gop_size": int,
     "max_b_frames": int, "encoder_measure_performance": bool,
@@ -41,16 +44,25 @@ EXAMPLES = [
 ]
 
 
+SETTINGS = [
+    pytest.param(*example.values, layout, id=f"{example.id}-{layout}")
+    for example in EXAMPLES
+    for layout in installed().load("codec", example.values[0]).capabilities.layouts
+]
+
+
 @cache
-def pictures(channels: int) -> list[Image]:
-    """Parts of the first frames of the built-in sequence."""
+def pictures(channels: int, bits: int = 8) -> list[Image]:
+    """Parts of the first frames of the built-in sequence; those of 16 bits in steps of 16."""
     sequence = installed().create("dataset", "synthetic", {"frames": 12}).open()
     parts = [frame.image[100:260, 100:340] for frame in sequence]
-    return [gray_from_image(image) if channels == 1 else image.copy() for image in parts]
+    images = [gray_from_image(image) if channels == 1 else image.copy() for image in parts]
+    return images if bits == 8 else [16 * image.astype(np.uint16) for image in images]
 
 
 def scene_of(images: list[Image]) -> Scene:
-    return Scene(*images[0].shape[:2], 1 if images[0].ndim == 2 else 3, RATE_HZ)
+    layout = layout_of(images[0])
+    return Scene(*images[0].shape[:2], layout.channels, RATE_HZ, layout.bits)
 
 
 def example(name: str, place: int) -> AnyCodec[Any]:
@@ -83,11 +95,10 @@ def parameters(recipe: Recipe) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize(("name", "place"), EXAMPLES)
-def test_every_setting_has_a_python_recipe_that_sends_what_was_measured(name: str, place: int, channels: int) -> None:
+@pytest.mark.parametrize(("name", "place", "layout"), SETTINGS)
+def test_every_setting_has_a_python_recipe_that_sends_what_was_measured(name: str, place: int, layout: Layout) -> None:
     codec = example(name, place)
-    images = pictures(channels)[: 2 if codec.stateless else None]
+    images = pictures(*layout)[: 2 if codec.stateless else None]
     found = recipes(codec, scene_of(images), "python")
     assert found
     measured = sent(codec, images)
@@ -111,7 +122,13 @@ def test_frames_of_odd_and_small_sides_are_padded_as_they_were(width: int, heigh
 
 @pytest.mark.parametrize(("name", "place"), EXAMPLES)
 def test_ros_parameters_are_those_that_the_packages_declare(name: str, place: int) -> None:
-    for recipe in recipes(example(name, place), Scene(480, 640, 3, RATE_HZ), "yaml"):
+    codec = example(name, place)
+    depth = codec.recipes(Scene(480, 640, 1, RATE_HZ, 16)) if 16 in codec.capabilities.bits else ()
+    for recipe in depth:
+        if "compressed_depth_image_transport" in recipe.stack:
+            own = parameters(recipe)["compressedDepth"]
+            assert {key: type(value) for key, value in own.items()} == {key: COMPRESSED_DEPTH[key] for key in own}
+    for recipe in recipes(codec, Scene(480, 640, 3, RATE_HZ), "yaml") if 3 in codec.capabilities.channels else ():
         found = parameters(recipe)
         if "compressed_image_transport" in recipe.stack:
             own = found.pop("compressed")
@@ -173,15 +190,14 @@ def test_ffmpeg_opened_as_the_transport_opens_it_sends_what_was_measured(name: s
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("program", ["ffmpeg", "gst-launch-1.0"])
-@pytest.mark.parametrize("channels", [1, 3])
-@pytest.mark.parametrize(("name", "place"), EXAMPLES)
-def test_commands_send_what_was_measured(name: str, place: int, channels: int, program: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "place", "layout"), SETTINGS)
+def test_commands_send_what_was_measured(name: str, place: int, layout: Layout, program: str, tmp_path: Path) -> None:
     if shutil.which(program) is None:
         pytest.skip(f"{program} is not installed")
     codec = example(name, place)
-    images = pictures(channels)[: 2 if codec.stateless else None]
+    images = pictures(*layout)[: 2 if codec.stateless else None]
     for number, image in enumerate(images):
-        shown = image if channels == 1 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        shown = image if layout.channels == 1 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
         assert cv2.imwrite(str(tmp_path / f"{number:06}.png"), shown)
     for recipe in recipes(codec, scene_of(images), "sh"):
         if not recipe.text.startswith(program):

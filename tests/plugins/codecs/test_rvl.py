@@ -138,7 +138,7 @@ def test_damage_is_survived() -> None:
 
 
 def test_operations_are_those_of_the_pixels() -> None:
-    """A constant frame has a nibble a pixel. Pixels are read to measure the run and to code it; the first ends holes."""
+    """A constant frame has a nibble a pixel. Each is read to measure the run and to code it; the first ends a hole."""
     trace = CountingTrace()
     bitstream = Rvl.create().encode(np.full((20, 30), 7, np.uint16), trace=trace)
     assert len(bitstream) == 20 + 4 * -(-(1 + 4 + 2 + 599) // 8)
