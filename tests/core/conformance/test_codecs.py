@@ -23,6 +23,7 @@ SLOW_CHECKS = ("bombs", "cut", "damaged", "deterministic", "future", "self_conta
 HAVE_SLOW_CHECKS = ("h264", "multilevel")
 CHECKS_OF_EVERY_SETTING = ("params", "bytes", "lossless")
 ALIKE = {"jpegls": "avif", "jpegxl": "avif", "webp": "avif"}
+ALIKE |= {"lz4": "zstd"}
 ALIKE |= {"av1": "h264", "ffv1": "h264", "hevc": "h264", "mjpeg": "h264", "vp9": "h264"}
 """Codecs whose methods are those of another, which has all checks."""
 OTHER_BITSTREAMS = [{"qf": 2, "profile": "context"}]
