@@ -25,6 +25,9 @@ class _Bytes(EnvelopedCodec[P]):
 
     capabilities = Capabilities(bits=(8, 16), lossless=True)
 
+    def _arguments(self, bits: int) -> dict[str, Any]:
+        return self.params.model_dump()
+
     def _decode(self, content: bytes, shape: tuple[int, ...], dtype: str) -> NDArray[Any]:
         size = math.prod(shape) * np.dtype(dtype).itemsize
         samples = np.empty(size + 1, np.uint8)  # LZ4 fills what there is and does not tell of more
@@ -48,9 +51,6 @@ class Zstd(_Bytes[ZstdParams]):
     examples = ({}, {"level": 19})
     magic, function = b"ICzs", "zstd"
 
-    def _arguments(self, bits: int) -> dict[str, Any]:
-        return {"level": self.params.level}
-
 
 class Lz4Params(Params):
     """Set LZ4's effort."""
@@ -66,41 +66,40 @@ class Lz4(_Bytes[Lz4Params]):
     examples = ({}, {"level": 12})
     magic, function = b"ICl4", "lz4f"
 
-    def _arguments(self, bits: int) -> dict[str, Any]:
-        return {"level": self.params.level}
-
 
 class MaxErrorParams(Params):
     """Set the error bound."""
 
     max_error: int = Field(
-        0,
-        ge=0,
-        le=65535,
-        description="largest error of any pixel, in steps of the frame (mm if depth is in millimeters); 0 is lossless",
+        0, ge=0, le=65535, description="largest error of a pixel, in its steps: mm if depth is in mm; 0 is lossless"
     )
 
 
-class Lerc(EnvelopedCodec[MaxErrorParams]):
+class _Bounded(EnvelopedCodec[MaxErrorParams]):
+    """Base class of codecs of 16-bit frames that bound the error of every pixel."""
+
+    params_type = MaxErrorParams
+    capabilities = Capabilities(channels=(1,), bits=(16,))
+    examples = ({}, {"max_error": 5})
+
+    def is_lossless(self) -> bool:
+        return self.params.max_error == 0
+
+
+class Lerc(_Bounded):
     """LERC, Limited Error Raster Compression by Esri, of 16-bit frames.
 
     Of 8-bit frames its Huffman coder leaves four bytes undefined, so equal frames would give other bytes.
     """
 
     name = "lerc"
-    params_type = MaxErrorParams
-    capabilities = Capabilities(channels=(1,), bits=(16,))
-    examples = ({}, {"max_error": 5})
     magic, function = b"ICle", "lerc"
-
-    def is_lossless(self) -> bool:
-        return self.params.max_error == 0
 
     def _arguments(self, bits: int) -> dict[str, Any]:
         return {"level": self.params.max_error}
 
 
-class Zfp(EnvelopedCodec[MaxErrorParams]):
+class Zfp(_Bounded):
     """ZFP (Lindstrom 2014, doi:10.1109/TVCG.2014.2346458) of 16-bit frames as float32 numbers, which it needs.
 
     Lossless in its reversible mode, else of fixed accuracy and rounded. Pixels come closer than `max_error`, which ZFP
@@ -108,13 +107,7 @@ class Zfp(EnvelopedCodec[MaxErrorParams]):
     """
 
     name = "zfp"
-    params_type = MaxErrorParams
-    capabilities = Capabilities(channels=(1,), bits=(16,))
-    examples = ({}, {"max_error": 8})
     magic, function, stored_as = b"ICzf", "zfp", "float32"
-
-    def is_lossless(self) -> bool:
-        return self.params.max_error == 0
 
     def _arguments(self, bits: int) -> dict[str, Any]:
         return {"mode": "reversible"} if self.is_lossless() else {"level": self.params.max_error, "mode": "accuracy"}

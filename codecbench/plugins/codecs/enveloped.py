@@ -28,8 +28,6 @@ from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER
 _HEADER = struct.Struct("<4sBBII")
 _CRC = struct.Struct("<I")
 _CONTENT_START = _HEADER.size + _CRC.size
-_BITS = {0: 8, 16: 16}
-"""Bits of a sample by their byte in the header."""
 P = TypeVar("P", bound=Params)
 
 
@@ -149,7 +147,7 @@ class EnvelopedCodec(Codec[P]):
         if len(bitstream) <= _CONTENT_START:
             raise BitstreamError(f"{self.name}: {len(bitstream)} bytes are too few for a header and an image")
         magic, channels, depth, width, height = _HEADER.unpack_from(bitstream)
-        bits = _BITS.get(depth, 0)
+        bits = {0: 8, 16: 16}.get(depth, 0)
         if magic != self.magic or Layout(channels, bits) not in self.capabilities.layouts:
             got = f"magic {magic!r}, {channels} channels, depth {depth}"
             raise BitstreamError(f"{self.name}: not a bitstream of this codec ({got})")

@@ -153,10 +153,7 @@ def _read_boxes(bitstream: bytes, start: int, end: int) -> list[tuple[bytes, int
 
 
 def _check_codestream(bitstream: bytes, start: int, size: tuple[int, int, int, int]) -> None:
-    """Check main header, tile-part header and end of the codestream that starts at `start`.
-
-    size: width, height, channels and depth field.
-    """
+    """Check the headers and the end of the codestream at `start`. size: width, height, channels and depth field."""
     if bitstream[start : start + 2] != SOC.to_bytes(2, "big"):
         raise BitstreamError("jpeg2000: the codestream does not start with SOC")
     position, seen = start + 2, []

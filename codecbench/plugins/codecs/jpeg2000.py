@@ -291,7 +291,7 @@ class Jpeg2000(Codec[Jpeg2000Params]):
 
 
 def _check_size(image: Image) -> Image:
-    image = check_image(image, bits=Jpeg2000.capabilities.bits)
+    image = check_image(image, bits=(8, 16))
     if image.shape[0] * image.shape[1] > MAX_JP2_PIXELS:
         raise ImageError(f"jpeg2000: an image of shape {image.shape} exceeds {MAX_JP2_PIXELS} pixels")
     return image

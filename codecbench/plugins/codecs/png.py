@@ -15,13 +15,7 @@ from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.opencv import Options, flags, library_versions, read_image, write_image
-from codecbench.plugins.codecs.recipes import (
-    FFMPEG,
-    GSTREAMER,
-    compressed_depth_image_transport,
-    compressed_image_transport,
-    opencv,
-)
+from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, compressed_image_transport, opencv
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK = struct.Struct(">I4s")
@@ -49,7 +43,7 @@ class Png(Codec[PngParams]):
     examples = ({}, {"effort": 9})
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        image = check_image(image, bits=self.capabilities.bits)
+        image = check_image(image, bits=(8, 16))
         if image.shape[0] * image.shape[1] > MAX_PIXELS:
             raise ImageError(f"png: an image of shape {image.shape} exceeds the {MAX_PIXELS} pixels of a decoder")
         return write_image(image, ".png", flags(self._options()))
@@ -60,10 +54,10 @@ class Png(Codec[PngParams]):
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         effort = self.params.effort
-        level = "" if effort is not None else "No level equals OpenCV's default; 1 came within 1 % of it."
-        transport = compressed_image_transport if scene.bits == 8 else compressed_depth_image_transport
+        note = "" if effort is not None else "No level equals OpenCV's default; 1 came within 1 % of it."
+        level = 1 if effort is None else effort
         return (
-            transport({"format": "png", "png_level": 1 if effort is None else effort}, level),
+            compressed_image_transport({"format": "png", "png_level": level}, note, scene.bits),
             opencv(scene, ".png", self._options()),
             Recipe(
                 GSTREAMER, "sh", "", "pngenc filters no rows: frames of the same level were up to 1.6 times as large."

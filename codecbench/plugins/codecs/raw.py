@@ -42,7 +42,7 @@ class Raw(Codec[NoParams]):
     reference = "baseline"
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
-        image = check_image(image, bits=self.capabilities.bits)
+        image = check_image(image, bits=(8, 16))
         height, width = image.shape[:2]
         if height * width > MAX_PIXELS:
             raise ImageError(

@@ -31,19 +31,16 @@ def sentences(*notes: str) -> str:
     return " ".join(filter(None, notes))
 
 
-def compressed_image_transport(keys: Mapping[str, str | int], note: str = "") -> Recipe:
-    """Recipe of parameters for the node that publishes `image_raw`."""
+def compressed_image_transport(keys: Mapping[str, str | int], note: str = "", bits: int = 8) -> Recipe:
+    """Recipe of parameters for the node that publishes `image_raw`, or depth if it has 16 bits."""
     names = [f"{key}: {value}" for key, value in keys.items()]
+    if bits == 16:
+        lines = [f"        {name}" for name in (*names, f"depth_max: {MAX_DEPTH_M}")]
+        text = "\n".join(["/**:", "  ros__parameters:", "    image_raw:", "      compressedDepth:", *lines])
+        return Recipe(COMPRESSED_DEPTH, "yaml", text, note)
     new, old = ([f"{' ' * indent}{name}" for name in names] for indent in (8, 6))
     lines = ["/**:", "  ros__parameters:", "    image_raw:", "      compressed:", *new, "      # Humble:", *old]
     return Recipe(COMPRESSED, "yaml", "\n".join(lines), note)
-
-
-def compressed_depth_image_transport(keys: Mapping[str, str | int], note: str = "") -> Recipe:
-    """Recipe of parameters for the node that publishes depth frames of 16 bits as `image_raw`."""
-    lines = [f"        {key}: {value}" for key, value in {**keys, "depth_max": MAX_DEPTH_M}.items()]
-    lines = ["/**:", "  ros__parameters:", "    image_raw:", "      compressedDepth:", *lines]
-    return Recipe(COMPRESSED_DEPTH, "yaml", "\n".join(lines), note)
 
 
 def opencv(scene: Scene, extension: str, options: Mapping[str, int | str], note: str = "") -> Recipe:

@@ -30,7 +30,7 @@ from codecbench.core.contracts.params import NoParams
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.kernel import kernel
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.recipes import compressed_depth_image_transport
+from codecbench.plugins.codecs.recipes import compressed_image_transport
 
 _HEADER = struct.Struct("<iffII")
 _MOST_BITS = 27
@@ -79,7 +79,7 @@ class Rvl(Codec[NoParams]):
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         note = "A step of the frame must be a millimeter."
-        return (compressed_depth_image_transport({"format": "rvl"}, note), super().recipes(scene)[0])
+        return (compressed_image_transport({"format": "rvl"}, note, bits=16), *super().recipes(scene))
 
 
 def _short_codes() -> NDArray[np.int32]:

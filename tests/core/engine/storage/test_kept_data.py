@@ -31,7 +31,7 @@ from codecbench.core.report.tables import export_table
 
 KEPT = GOLDEN / "kept"
 RUNS = sorted(path.name for path in KEPT.glob("run-*"))
-OWN = {"raw", "jpeg_qf", "multilevel"}
+OWN = {"raw", "jpeg_qf", "multilevel", "rvl"}
 """Codecs whose pixels hang on no library's version."""
 
 
@@ -99,7 +99,9 @@ def test_bitstreams_of_a_kept_run_decode_to_the_same_pixels(kept: Path) -> None:
 
 CORPUS = read_manifest(KEPT / "bitstreams")
 CONTEXT_CORPUS = read_manifest(KEPT / "bitstreams-context")
+CORPUS_16 = read_manifest(KEPT / "bitstreams-16")
 FILES = [("bitstreams", entry) for entry in CORPUS] + [("bitstreams-context", entry) for entry in CONTEXT_CORPUS]
+FILES += [("bitstreams-16", entry) for entry in CORPUS_16]
 
 
 STREAMS = sorted((KEPT / "streams").glob("*.json"))
@@ -107,7 +109,7 @@ STREAMS = sorted((KEPT / "streams").glob("*.json"))
 
 def test_bitstreams_of_every_codec_that_ships_are_kept() -> None:
     """Of features elsewhere: `test_packets_are_the_same_on_every_machine`."""
-    kept = {entry.codec for entry in CORPUS} | {path.stem for path in STREAMS} | {"orb_features"}
+    kept = {entry.codec for entry in (*CORPUS, *CORPUS_16)} | {path.stem for path in STREAMS} | {"orb_features"}
     assert kept == {plugin.spec.name for plugin in installed().plugins("codec")}
 
 
@@ -121,7 +123,7 @@ def test_a_kept_bitstream_decodes_to_the_same_pixels(folder: str, entry: Entry) 
     except Unsupported as reason:
         pytest.skip(str(reason))
     pixels = decoder.decode(bitstream)
-    assert pixels.shape[:2] == entry.shape[:2]
+    assert (pixels.shape[:2], 8 * pixels.itemsize) == (entry.shape[:2], entry.bits)
     if entry.codec in OWN or decoder.libraries() == entry.libraries:
         assert pixels_sha256(pixels) == entry.pixels_sha256
 
