@@ -33,8 +33,7 @@ from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.recipes import compressed_image_transport
 
 _HEADER = struct.Struct("<iffII")
-_MOST_BITS = 27
-"""Size of the largest number, a run of MAX_PIXELS."""
+_MOST_BITS = 27  # of a run of MAX_PIXELS
 _CUT, _BAD_RUN, _BAD_PIXEL, _LEFT_OVER = range(1, 5)
 _REASONS = {
     _CUT: "it ends before its last pixel",
