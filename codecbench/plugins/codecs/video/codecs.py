@@ -8,19 +8,34 @@ from pydantic import Field
 
 from codecbench.core.contracts.codec import Capabilities, StreamCodec
 from codecbench.core.contracts.recipe import Recipe, Scene
-from codecbench.plugins.codecs.video.encoders import ENCODERS, Encoder, Gop, PixelFormat, VideoParams
+from codecbench.plugins.codecs.quantizer import Quantizer
+from codecbench.plugins.codecs.video.encoders import (
+    ENCODERS,
+    DepthVideoParams,
+    Encoder,
+    Gop,
+    PixelFormat,
+    VideoParams,
+)
 from codecbench.plugins.codecs.video.library import open_encoder, require, versions
 from codecbench.plugins.codecs.video.recipes import recipes
 from codecbench.plugins.codecs.video.sessions import VideoDecoder, VideoEncoder
 
 V = TypeVar("V", bound=VideoParams)
 _TRIAL_SIZE = (640, 480)
+_WITH_DEPTH = Capabilities(bits=(8, 16))
+_SENSOR_RANGE_M = 65.535
+"""All distances of 16 bits in millimeters."""
 _REMARKS = {
     "gray": "color is not coded (gray)",
     "yuv420p": "color, if any, is coded at half size (yuv420p)",
     "yuv444p": "color is coded at full size (yuv444p)",
     "rgb": "",
 }
+
+
+def _quantizer(default: Quantizer) -> Any:
+    return Field(default, description="how 16-bit frames become gray samples, whatever `pixel_format` is")
 
 
 class VideoCodec(StreamCodec[V]):
@@ -36,6 +51,8 @@ class VideoCodec(StreamCodec[V]):
     def __init__(self, params: V) -> None:
         super().__init__(params)
         require(params.traits)
+        if params.depth is None:
+            self.capabilities = Capabilities()  # type: ignore[misc]
         if params.traits.hardware:
             open_encoder(params, *_TRIAL_SIZE, frame_rate_hz=30)
 
@@ -52,18 +69,21 @@ class VideoCodec(StreamCodec[V]):
         return tuple(recipes(self.params, scene))
 
     def remark(self) -> str:
-        return _REMARKS[self.params.pixel_format]
+        depth = self.params.depth
+        quantized = "" if depth is None or depth.kind == "none" else f"16-bit depth is quantized ({depth})"
+        return "; ".join(filter(None, (_REMARKS[self.params.pixel_format], quantized)))
 
     def libraries(self) -> dict[str, str]:
         return versions()
 
 
-class H264Params(VideoParams):
+class H264Params(DepthVideoParams):
     """Encode H.264 with x264 (default: preset veryfast, crf 23) or a hardware encoder."""
 
     encoder: Literal["libx264", "h264_nvenc", "h264_v4l2m2m", "h264_vaapi"] = Field(
         "libx264", description="FFmpeg's name of the encoder"
     )
+    quantizer: Quantizer = _quantizer(Quantizer(far_m=_SENSOR_RANGE_M, bits=10))
 
     @classmethod
     def encoder_of(cls, values: Any) -> Encoder | None:
@@ -79,6 +99,7 @@ class H264(VideoCodec[H264Params]):
 
     name = "h264"
     version = "2"
+    capabilities = _WITH_DEPTH
     params_type = H264Params
     examples = (
         {},
@@ -89,16 +110,18 @@ class H264(VideoCodec[H264Params]):
     magic = b"V264"
 
 
-class HevcParams(VideoParams):
+class HevcParams(DepthVideoParams):
     """Encode HEVC (H.265) with x265; default: preset veryfast, crf 28."""
 
     encoder_name = "libx265"
+    quantizer: Quantizer = _quantizer(Quantizer(far_m=_SENSOR_RANGE_M, bits=12))
 
 
 class Hevc(VideoCodec[HevcParams]):
     """HEVC (ITU-T H.265, ISO/IEC 23008-2) by x265."""
 
     name = "hevc"
+    capabilities = _WITH_DEPTH
     params_type = HevcParams
     examples = ({}, {"qp": 30, "pixel_format": "yuv444p", "gop": 5}, {"latency": "any", "gop": 8})
     magic = b"V265"
@@ -151,10 +174,11 @@ class Mjpeg(VideoCodec[MjpegParams]):
     magic = b"VJPG"
 
 
-class Ffv1Params(VideoParams):
+class Ffv1Params(DepthVideoParams):
     """Encode FFV1 (RFC 9043) with FFmpeg, lossless in its pixel format."""
 
     encoder_name = "ffv1"
+    quantizer: Quantizer = _quantizer(Quantizer(kind="none", bits=16))
     pixel_format: PixelFormat = Field("rgb", description="rgb is always lossless; other formats may lose color")
 
 
@@ -162,10 +186,11 @@ class Ffv1(VideoCodec[Ffv1Params]):
     """FFV1, version 3 (RFC 9043): lossless; its statistics continue from frame to frame within a GOP."""
 
     name = "ffv1"
+    capabilities = _WITH_DEPTH
     params_type = Ffv1Params
     examples = ({}, {"pixel_format": "gray", "gop": 5})
     magic = b"VFF1"
     sends_extradata = True
 
     def is_lossless(self) -> bool:
-        return self.params.pixel_format == "rgb"
+        return self.params.pixel_format == "rgb" and self.params.quantizer.kind == "none"

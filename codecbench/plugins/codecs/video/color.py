@@ -27,7 +27,7 @@ def pad_image(image: Image, width: int, height: int) -> Image:
     below, right = height - image.shape[0], width - image.shape[1]
     if not below and not right:
         return image
-    return np.asarray(cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE), dtype=np.uint8)
+    return np.asarray(cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE), dtype=image.dtype)
 
 
 def planes_from_image(image: Image, pixel_format: PixelFormat) -> list[Image]:
@@ -75,6 +75,22 @@ def image_from_frame(frame: Any, channels: int) -> Image | None:
     luma = planes[0]
     blue, red = (_upsample(chroma, luma.shape) for chroma in planes[1:])
     return np.asarray(cv2.cvtColor(cv2.merge([luma, red, blue]), cv2.COLOR_YCrCb2RGB), dtype=np.uint8)
+
+
+def plane_from_codes(codes: Image) -> Image:
+    """Return (H, W) uint16 codes as the (H, 2 W) bytes of a little-endian plane."""
+    return codes.astype("<u2", copy=False).view(np.uint8)
+
+
+def codes_from_frame(frame: Any, bits: int) -> Image | None:
+    """Return the (H, W) uint16 codes of a decoded gray frame of so many bits; None if its format is another.
+
+    FFmpeg's H.264 decoder adds neutral chroma to gray.
+    """
+    if frame.format.name not in (f"gray{bits}le", f"yuv420p{bits}le"):
+        return None
+    plane = frame.planes[0]
+    return np.frombuffer(plane, "<u2").reshape(-1, plane.line_size // 2)[: plane.height, : plane.width]
 
 
 def _plane(plane: Any, frame: Any) -> Image:

@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from codecbench.core.contracts.params import Params
+from codecbench.plugins.codecs.quantizer import Quantizer
 
 PixelFormat = Literal["gray", "yuv420p", "yuv444p", "rgb"]
 RATES: Final = ("crf", "qp", "bitrate_kbps")
@@ -41,6 +42,8 @@ class Encoder:
     """Default rate and preset."""
     presets: tuple[str | int, ...] = ()
     pixel_formats: tuple[PixelFormat, ...] = _ALL_YUV
+    depth_bits: tuple[int, ...] = ()
+    """Bits of the gray samples as which it codes 16-bit frames; empty if it does not."""
     integral: bool = False
     """Whether `crf` has to be a whole number."""
     intra_only: bool = False
@@ -73,6 +76,8 @@ class Encoder:
                 f"{self.name} does not support pixel_format {params.pixel_format!r}, only {allowed}"
                 " (gray frames get neutral chroma and decode to gray)"
             )
+        if (quantizer := params.depth) is not None and quantizer.bits not in self.depth_bits:
+            yield f"{self.name} codes depth in {_join(self.depth_bits)} bits, not {quantizer.bits}"
         if params.intra_refresh and not self.intra_refresh:
             yield f"{self.name} does not support intra_refresh; libx264 does"
         if params.intra_refresh and params.latency != "low":
@@ -112,8 +117,10 @@ class Encoder:
         wide, high = (max(side + side % 2, self.least_side) for side in (width, height))
         return wide, high
 
-    def ffmpeg_format(self, params: VideoParams) -> str:
-        """FFmpeg's name of the pixel format."""
+    def ffmpeg_format(self, params: VideoParams, bits: int = 8) -> str:
+        """FFmpeg's name of the pixel format of frames of 8 or 16 bits."""
+        if bits == 16 and params.depth is not None:
+            return f"gray{params.depth.bits}le"
         return _FFMPEG_FORMATS.get(params.pixel_format, params.pixel_format)
 
 
@@ -149,11 +156,18 @@ class VideoParams(Params):
     intra_refresh: bool = Field(
         False, description="instead of keyframes, move a column of intra blocks over `gop` frames"
     )
-    pixel_format: PixelFormat = Field("yuv420p", description="coded samples: gray, chroma at half or full size, or rgb")
+    pixel_format: PixelFormat = Field(
+        "yuv420p", description="coded samples of 8-bit frames: gray, chroma at half or full size, or rgb"
+    )
     threads: Literal[1] = Field(1, description="encoder threads; with one its bytes are reproducible")
     latency: Literal["low", "any"] = Field(
         "low", description="low: one packet per frame at once; any: look-ahead and B-frames"
     )
+
+    @property
+    def depth(self) -> Quantizer | None:
+        """How 16-bit frames are coded; None if they are not."""
+        return None
 
     @classmethod
     def encoder_of(cls, values: Any) -> Encoder | None:
@@ -181,6 +195,22 @@ class VideoParams(Params):
         if faults:
             raise ValueError("; ".join(faults))
         return self
+
+
+class DepthVideoParams(VideoParams):
+    """Parameters of a codec that codes 16-bit frames too, as gray samples; each sets a default of `quantizer`."""
+
+    quantizer: Quantizer
+
+    @property
+    def depth(self) -> Quantizer | None:
+        return self.quantizer if self.traits.depth_bits else None
+
+    @field_validator("quantizer", mode="before")
+    @classmethod
+    def _fill_in_bits(cls, quantizer: Any) -> Any:
+        bits = cls.model_fields["quantizer"].default.bits
+        return {"bits": bits, **quantizer} if isinstance(quantizer, dict) else quantizer
 
 
 def _join(values: tuple[str | int, ...]) -> str:
@@ -267,10 +297,11 @@ ENCODERS: Final = {
         Encoder(
             "libx264", "h264", _x264_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},
             {"crf": 23, "preset": "veryfast"}, _X26X_PRESETS, intra_refresh=True, recovers=True,
+            depth_bits=(10,),
         ),
         Encoder(
             "libx265", "hevc", _x265_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},
-            {"crf": 28, "preset": "veryfast"}, _X26X_PRESETS, least_side=72,
+            {"crf": 28, "preset": "veryfast"}, _X26X_PRESETS, depth_bits=(10, 12), least_side=72,
         ),
         _SVT_AV1,
         Encoder(
@@ -283,7 +314,8 @@ ENCODERS: Final = {
             looks_ahead=False,
         ),
         Encoder(
-            "ffv1", "ffv1", _ffv1_options, {}, {}, (), ("gray", "yuv420p", "yuv444p", "rgb"), looks_ahead=False,
+            "ffv1", "ffv1", _ffv1_options, {}, {}, (), ("gray", "yuv420p", "yuv444p", "rgb"), depth_bits=(10, 12, 16),
+            looks_ahead=False,
         ),
         Encoder(
             "h264_nvenc", "h264", _nvenc_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},

@@ -1,7 +1,8 @@
 """The header of ours in front of keyframe packets, and the recovery points of intra refresh.
 
-Little-endian: magic (4), flags (1): 1 low delay, 2 color; width (2), height (2), length of the decoder's own header
-(2), that header. The rest of the packet, and every other packet, is what the encoder wrote.
+Little-endian: magic (4), flags (1): 1 low delay, 2 color, 4 frames of 16 bits; width (2), height (2), length of the
+decoder's own header (2); with 16 bits a `DepthScale`; that header. The rest of the packet, and every other packet, is
+what the encoder wrote.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from typing import Final, Self
 from codecbench.core.contracts.errors import BitstreamError
 from codecbench.core.contracts.image import MAX_PIXELS
 from codecbench.core.contracts.stream import is_recovery
+from codecbench.plugins.codecs.quantizer import DepthScale
 
 _FIXED: Final = struct.Struct("<4sBHHH")
-_LOW_DELAY, _COLOR = 1, 2
+_LOW_DELAY, _COLOR, _DEPTH = 1, 2, 4
 MAX_SIDE: Final = 0xFFFF
 _START_CODE: Final = b"\0\0\1"
 _SEI_UNIT: Final = 6
@@ -35,11 +37,15 @@ class Header:
     is_low_delay: bool
     extradata: bytes = b""
     """The decoder's own header, if the encoder does not write it into packets."""
+    depth: DepthScale | None = None
+    """What the codes of 16-bit frames stand for; None for frames of 8 bits."""
 
     def to_bytes(self) -> bytes:
         """Serialize the header."""
         flags = _LOW_DELAY * self.is_low_delay + _COLOR * (self.channels == 3)
-        return _FIXED.pack(self.magic, flags, self.width, self.height, len(self.extradata)) + self.extradata
+        depth = b"" if self.depth is None else self.depth.to_bytes()
+        flags += _DEPTH * bool(depth)
+        return _FIXED.pack(self.magic, flags, self.width, self.height, len(self.extradata)) + depth + self.extradata
 
     @classmethod
     def parse(cls, data: bytes, magic: bytes) -> tuple[Self, bytes]:
@@ -47,15 +53,17 @@ class Header:
         if len(data) < _FIXED.size or not data.startswith(magic):
             raise BitstreamError(f"not a keyframe of this codec: {data[:4]!r} instead of {magic!r}")
         _, flags, width, height, length = _FIXED.unpack_from(data)
-        if flags > _LOW_DELAY + _COLOR:
+        if flags > _LOW_DELAY + _DEPTH:
             raise BitstreamError(f"the header of the stream is damaged: {flags:#x} is not what an encoder writes")
         if not 0 < width * height <= MAX_PIXELS:
             raise BitstreamError(f"{width}x{height} is not within 1..{MAX_PIXELS} pixels")
-        content = _FIXED.size + length
+        start = _FIXED.size + (DepthScale.RECORD.size if flags & _DEPTH else 0)
+        content = start + length
         if len(data) <= content:
             raise BitstreamError(f"a packet of {len(data)} bytes ends within its header of {content}")
         channels = 3 if flags & _COLOR else 1
-        header = cls(magic, width, height, channels, bool(flags & _LOW_DELAY), data[_FIXED.size : content])
+        depth = DepthScale.parse(data[_FIXED.size : start]) if flags & _DEPTH else None
+        header = cls(magic, width, height, channels, bool(flags & _LOW_DELAY), data[start:content], depth)
         return header, data[content:]
 
 

@@ -51,13 +51,15 @@ def require(encoder: Encoder) -> None:
             ) from error
 
 
-def open_encoder(params: VideoParams, width: int, height: int, frame_rate_hz: float) -> VideoCodecContext:
-    """Open an encoder for frames of this size. Raises Unsupported if FFmpeg cannot open it."""
+def open_encoder(
+    params: VideoParams, width: int, height: int, frame_rate_hz: float, bits: int = 8
+) -> VideoCodecContext:
+    """Open an encoder for frames of this size, of 8 or 16 bits. Raises Unsupported if FFmpeg cannot open it."""
     av, encoder = load_av(), params.traits
     context: VideoCodecContext = av.CodecContext.create(encoder.name, "w")
     rate = frame_rate(frame_rate_hz)
     context.width, context.height = width, height
-    context.pix_fmt = encoder.ffmpeg_format(params)
+    context.pix_fmt = encoder.ffmpeg_format(params, bits)
     context.framerate, context.time_base = rate, 1 / rate
     context.color_range, context.colorspace = _FULL_RANGE, _BT601
     context.options = encoder.settings(params)

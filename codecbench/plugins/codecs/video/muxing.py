@@ -59,7 +59,7 @@ def _add_stream(container: Any, codec: VideoCodec[Any], header: Header, first: b
     traits: Encoder = codec.params.traits
     size = traits.coded_size(header.width, header.height)
     if header.extradata:
-        opened = open_encoder(codec.params, *size, frame_rate_hz)
+        opened = open_encoder(codec.params, *size, frame_rate_hz, bits=8 if header.depth is None else 16)
         stream = container.add_stream(traits.name, rate=frame_rate(frame_rate_hz), options=opened.options)
         stream.width, stream.height = size
         stream.pix_fmt = opened.pix_fmt

@@ -10,17 +10,25 @@ from __future__ import annotations
 from typing import Any
 
 from codecbench.core.contracts.errors import BitstreamError, ImageError
-from codecbench.core.contracts.image import MAX_PIXELS, Image, channel_count, check_image
+from codecbench.core.contracts.image import MAX_PIXELS, Image, check_image, layout_of
 from codecbench.core.contracts.stream import Loss, Packet, Picture, PictureState, StreamDecoder, StreamEncoder
 from codecbench.core.counting.trace import NULL_TRACE, Trace
-from codecbench.plugins.codecs.video.color import fill_frame, image_from_frame, pad_image, planes_from_image
+from codecbench.plugins.codecs.video.color import (
+    codes_from_frame,
+    fill_frame,
+    image_from_frame,
+    pad_image,
+    plane_from_codes,
+    planes_from_image,
+)
 from codecbench.plugins.codecs.video.encoders import Encoder, VideoParams
 from codecbench.plugins.codecs.video.header import MAX_SIDE, Header, frames_to_recovery
 from codecbench.plugins.codecs.video.library import decoding_errors, open_decoder, open_encoder, packet_for, video_frame
 
 
 class VideoEncoder(StreamEncoder):
-    """An encoding session. The encoder is opened for the first image; the others must have its shape.
+    """An encoding session. The encoder is opened for the first image; the others must have its shape
+    and bits.
 
     An encoder that looks ahead in its own threads returns all packets at the end, so that sessions are reproducible.
 
@@ -33,6 +41,7 @@ class VideoEncoder(StreamEncoder):
         self._sends_extradata = sends_extradata
         self._context: Any = None
         self._shape: tuple[int, ...] = ()
+        self._bits = 8
         self._size = (0, 0)
         self._header = b""
         self._pushed = 0
@@ -40,14 +49,16 @@ class VideoEncoder(StreamEncoder):
         self._delayed: list[Packet] = []
 
     def push(self, image: Image, *, trace: Trace = NULL_TRACE) -> list[Packet]:
-        image = check_image(image)
+        image = check_image(image, bits=(8,) if self._params.depth is None else (8, 16))
         if self._context is None:
             self._open(image)
+        elif layout_of(image).bits != self._bits:
+            raise ImageError(f"a frame of {layout_of(image).bits} bits in a stream of {self._bits} bits")
         elif image.shape != self._shape:
             raise ImageError(f"a frame of shape {image.shape} in a stream of shape {self._shape}")
         params = self._params
-        frame = video_frame(*self._size, params.traits.ffmpeg_format(params))
-        fill_frame(frame, planes_from_image(pad_image(image, *self._size), params.pixel_format))
+        frame = video_frame(*self._size, params.traits.ffmpeg_format(params, self._bits))
+        fill_frame(frame, self._planes(pad_image(image, *self._size)))
         frame.pts = self._pushed
         self._pushed += 1
         packets = self._packets(frame)
@@ -59,19 +70,25 @@ class VideoEncoder(StreamEncoder):
     def flush(self) -> list[Packet]:
         return [] if self._context is None else self._delayed + self._packets(None)
 
+    def _planes(self, image: Image) -> list[Image]:
+        quantizer = self._params.depth
+        if self._bits == 16 and quantizer is not None:
+            return [plane_from_codes(quantizer.codes(image))]
+        return planes_from_image(image, self._params.pixel_format)
+
     def _open(self, image: Image) -> None:
         height, width = image.shape[:2]
         if max(height, width) > MAX_SIDE or height * width > MAX_PIXELS:
             raise ImageError(f"{width}x{height} exceeds {MAX_SIDE} a side or {MAX_PIXELS} pixels")
         params = self._params
         self._size = params.traits.coded_size(width, height)
-        self._context = open_encoder(params, *self._size, self._frame_rate_hz)
+        channels, self._bits = layout_of(image)
+        self._context = open_encoder(params, *self._size, self._frame_rate_hz, self._bits)
         self._shape = image.shape
         extradata = self._context.extradata if self._sends_extradata else b""
         is_low_delay = params.latency == "low"
-        self._header = Header(
-            self._magic, width, height, channel_count(image), is_low_delay, extradata or b""
-        ).to_bytes()
+        depth = params.depth.scale if self._bits == 16 and params.depth is not None else None
+        self._header = Header(self._magic, width, height, channels, is_low_delay, extradata or b"", depth).to_bytes()
 
     def _packets(self, frame: Any) -> list[Packet]:
         packets: list[Packet] = []
@@ -211,5 +228,8 @@ class VideoDecoder(StreamDecoder):
         assert header is not None
         if (frame.width, frame.height) != self._encoder.coded_size(header.width, header.height):
             return None
+        if header.depth is not None:
+            codes = codes_from_frame(frame, header.depth.bits)
+            return None if codes is None else header.depth.pixels(codes[: header.height, : header.width]).copy()
         image = image_from_frame(frame, header.channels)
         return None if image is None else image[: header.height, : header.width].copy()
