@@ -77,9 +77,12 @@ def image_from_frame(frame: Any, channels: int) -> Image | None:
     return np.asarray(cv2.cvtColor(cv2.merge([luma, red, blue]), cv2.COLOR_YCrCb2RGB), dtype=np.uint8)
 
 
-def plane_from_codes(codes: Image) -> Image:
-    """Return (H, W) uint16 codes as the (H, 2 W) bytes of a little-endian plane."""
-    return codes.astype("<u2", copy=False).view(np.uint8)
+def planes_from_codes(codes: Image, bits: int, pixel_format: str) -> list[Image]:
+    """Return (H, W) uint16 codes of so many bits as the bytes of little-endian planes, with neutral chroma if any."""
+    planes = [codes]
+    if not pixel_format.startswith("gray"):
+        planes += 2 * [np.full((codes.shape[0] // 2, codes.shape[1] // 2), 1 << (bits - 1), np.uint16)]
+    return [plane.astype("<u2", copy=False).view(np.uint8) for plane in planes]
 
 
 def codes_from_frame(frame: Any, bits: int) -> Image | None:

@@ -80,6 +80,8 @@ class Encoder:
             yield f"{self.name} codes depth in {_join(self.depth_bits)} bits, not {quantizer.bits}"
         if params.intra_refresh and not self.intra_refresh:
             yield f"{self.name} does not support intra_refresh; libx264 does"
+        if params.intra_refresh and params.pixel_format == "gray":
+            yield f"{self.name} crashes on gray with intra_refresh; set pixel_format to yuv420p, which costs under 2 %"
         if params.intra_refresh and params.latency != "low":
             yield "intra_refresh needs frames that are sent in order; set `latency: low`"
         if self.intra_only and params.gop != 1:
@@ -120,7 +122,7 @@ class Encoder:
     def ffmpeg_format(self, params: VideoParams, bits: int = 8) -> str:
         """FFmpeg's name of the pixel format of frames of 8 or 16 bits."""
         if bits == 16 and params.depth is not None:
-            return f"gray{params.depth.bits}le"
+            return f"{'yuv420p' if params.intra_refresh else 'gray'}{params.depth.bits}le"
         return _FFMPEG_FORMATS.get(params.pixel_format, params.pixel_format)
 
 

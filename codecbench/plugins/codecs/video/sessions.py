@@ -18,7 +18,7 @@ from codecbench.plugins.codecs.video.color import (
     fill_frame,
     image_from_frame,
     pad_image,
-    plane_from_codes,
+    planes_from_codes,
     planes_from_image,
 )
 from codecbench.plugins.codecs.video.encoders import Encoder, VideoParams
@@ -58,7 +58,7 @@ class VideoEncoder(StreamEncoder):
             raise ImageError(f"a frame of shape {image.shape} in a stream of shape {self._shape}")
         params = self._params
         frame = video_frame(*self._size, params.traits.ffmpeg_format(params, self._bits))
-        fill_frame(frame, self._planes(pad_image(image, *self._size)))
+        fill_frame(frame, self._planes(pad_image(image, *self._size), frame.format.name))
         frame.pts = self._pushed
         self._pushed += 1
         packets = self._packets(frame)
@@ -70,10 +70,10 @@ class VideoEncoder(StreamEncoder):
     def flush(self) -> list[Packet]:
         return [] if self._context is None else self._delayed + self._packets(None)
 
-    def _planes(self, image: Image) -> list[Image]:
+    def _planes(self, image: Image, ffmpeg_format: str) -> list[Image]:
         quantizer = self._params.depth
         if self._bits == 16 and quantizer is not None:
-            return [plane_from_codes(quantizer.codes(image))]
+            return planes_from_codes(quantizer.codes(image), quantizer.bits, ffmpeg_format)
         return planes_from_image(image, self._params.pixel_format)
 
     def _open(self, image: Image) -> None:
