@@ -8,7 +8,7 @@ from pydantic import Field
 
 from codecbench.core.contracts.codec import Capabilities, StreamCodec
 from codecbench.core.contracts.recipe import Recipe, Scene
-from codecbench.plugins.codecs.quantizer import Quantizer
+from codecbench.plugins.codecs.quantizer import DepthBits, DepthQuantization, QuantizerKind
 from codecbench.plugins.codecs.video.encoders import (
     ENCODERS,
     DepthVideoParams,
@@ -24,18 +24,12 @@ from codecbench.plugins.codecs.video.sessions import VideoDecoder, VideoEncoder
 V = TypeVar("V", bound=VideoParams)
 _TRIAL_SIZE = (640, 480)
 _WITH_DEPTH = Capabilities(bits=(8, 16))
-_SENSOR_RANGE_M = 65.535
-"""All distances of 16 bits in millimeters."""
 _REMARKS = {
     "gray": "color is not coded (gray)",
     "yuv420p": "color, if any, is coded at half size (yuv420p)",
     "yuv444p": "color is coded at full size (yuv444p)",
     "rgb": "",
 }
-
-
-def _quantizer(default: Quantizer) -> Any:
-    return Field(default, description="how 16-bit frames become gray samples, whatever `pixel_format` is")
 
 
 class VideoCodec(StreamCodec[V]):
@@ -70,7 +64,7 @@ class VideoCodec(StreamCodec[V]):
 
     def remark(self) -> str:
         depth = self.params.depth
-        quantized = "" if depth is None or depth.kind == "none" else f"16-bit depth is quantized ({depth})"
+        quantized = "" if depth is None else depth.depth_remark
         return "; ".join(filter(None, (_REMARKS[self.params.pixel_format], quantized)))
 
     def libraries(self) -> dict[str, str]:
@@ -83,7 +77,8 @@ class H264Params(DepthVideoParams):
     encoder: Literal["libx264", "h264_nvenc", "h264_v4l2m2m", "h264_vaapi"] = Field(
         "libx264", description="FFmpeg's name of the encoder"
     )
-    quantizer: Quantizer = _quantizer(Quantizer(far_m=_SENSOR_RANGE_M, bits=10))
+    depth_bits: DepthBits = 10
+    depth_quantization: DepthQuantization = 15.0
 
     @classmethod
     def encoder_of(cls, values: Any) -> Encoder | None:
@@ -114,7 +109,6 @@ class HevcParams(DepthVideoParams):
     """Encode HEVC (H.265) with x265; default: preset veryfast, crf 28."""
 
     encoder_name = "libx265"
-    quantizer: Quantizer = _quantizer(Quantizer(far_m=_SENSOR_RANGE_M, bits=12))
 
 
 class Hevc(VideoCodec[HevcParams]):
@@ -178,7 +172,9 @@ class Ffv1Params(DepthVideoParams):
     """Encode FFV1 (RFC 9043) with FFmpeg, lossless in its pixel format."""
 
     encoder_name = "ffv1"
-    quantizer: Quantizer = _quantizer(Quantizer(kind="none", bits=16))
+    quantizer: QuantizerKind = "none"
+    depth_bits: DepthBits = 16
+    depth_quantization: DepthQuantization = 100.0
     pixel_format: PixelFormat = Field("rgb", description="rgb is always lossless; other formats may lose color")
 
 
@@ -193,4 +189,4 @@ class Ffv1(VideoCodec[Ffv1Params]):
     sends_extradata = True
 
     def is_lossless(self) -> bool:
-        return self.params.pixel_format == "rgb" and self.params.quantizer.kind == "none"
+        return self.params.pixel_format == "rgb" and self.params.quantizer == "none"

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from codecbench.core.contracts.params import Params
-from codecbench.plugins.codecs.quantizer import Quantizer
+from codecbench.plugins.codecs.quantizer import DepthParams
 
 PixelFormat = Literal["gray", "yuv420p", "yuv444p", "rgb"]
 RATES: Final = ("crf", "qp", "bitrate_kbps")
@@ -76,8 +76,8 @@ class Encoder:
                 f"{self.name} does not support pixel_format {params.pixel_format!r}, only {allowed}"
                 " (gray frames get neutral chroma and decode to gray)"
             )
-        if (quantizer := params.depth) is not None and quantizer.bits not in self.depth_bits:
-            yield f"{self.name} codes depth in {_join(self.depth_bits)} bits, not {quantizer.bits}"
+        if params.depth is not None and params.depth.depth_bits not in self.depth_bits:
+            yield f"{self.name} does not support depth_bits {params.depth.depth_bits}, only {_join(self.depth_bits)}"
         if params.intra_refresh and not self.intra_refresh:
             yield f"{self.name} does not support intra_refresh; libx264 does"
         if params.intra_refresh and params.pixel_format == "gray":
@@ -122,7 +122,7 @@ class Encoder:
     def ffmpeg_format(self, params: VideoParams, bits: int = 8) -> str:
         """FFmpeg's name of the pixel format of frames of 8 or 16 bits."""
         if bits == 16 and params.depth is not None:
-            return f"{'yuv420p' if params.intra_refresh else 'gray'}{params.depth.bits}le"
+            return f"{'yuv420p' if params.intra_refresh else 'gray'}{params.depth.depth_bits}le"
         return _FFMPEG_FORMATS.get(params.pixel_format, params.pixel_format)
 
 
@@ -159,7 +159,8 @@ class VideoParams(Params):
         False, description="instead of keyframes, move a column of intra blocks over `gop` frames"
     )
     pixel_format: PixelFormat = Field(
-        "yuv420p", description="coded samples of 8-bit frames: gray, chroma at half or full size, or rgb"
+        "yuv420p",
+        description="coded samples: gray, chroma at half or full size, or rgb; 16-bit frames are always gray",
     )
     threads: Literal[1] = Field(1, description="encoder threads; with one its bytes are reproducible")
     latency: Literal["low", "any"] = Field(
@@ -167,7 +168,7 @@ class VideoParams(Params):
     )
 
     @property
-    def depth(self) -> Quantizer | None:
+    def depth(self) -> DepthParams | None:
         """How 16-bit frames are coded; None if they are not."""
         return None
 
@@ -199,20 +200,12 @@ class VideoParams(Params):
         return self
 
 
-class DepthVideoParams(VideoParams):
-    """Parameters of a codec that codes 16-bit frames too, as gray samples; each sets a default of `quantizer`."""
-
-    quantizer: Quantizer
+class DepthVideoParams(VideoParams, DepthParams):
+    """Parameters of a codec that codes 16-bit frames too, as gray samples of `depth_bits`."""
 
     @property
-    def depth(self) -> Quantizer | None:
-        return self.quantizer if self.traits.depth_bits else None
-
-    @field_validator("quantizer", mode="before")
-    @classmethod
-    def _fill_in_bits(cls, quantizer: Any) -> Any:
-        bits = cls.model_fields["quantizer"].default.bits
-        return {"bits": bits, **quantizer} if isinstance(quantizer, dict) else quantizer
+    def depth(self) -> DepthParams | None:
+        return self if self.traits.depth_bits else None
 
 
 def _join(values: tuple[str | int, ...]) -> str:

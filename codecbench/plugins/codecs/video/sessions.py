@@ -71,9 +71,9 @@ class VideoEncoder(StreamEncoder):
         return [] if self._context is None else self._delayed + self._packets(None)
 
     def _planes(self, image: Image, ffmpeg_format: str) -> list[Image]:
-        quantizer = self._params.depth
-        if self._bits == 16 and quantizer is not None:
-            return planes_from_codes(quantizer.codes(image), quantizer.bits, ffmpeg_format)
+        depth = self._params.depth
+        if self._bits == 16 and depth is not None:
+            return planes_from_codes(depth.codes(image), depth.depth_bits, ffmpeg_format)
         return planes_from_image(image, self._params.pixel_format)
 
     def _open(self, image: Image) -> None:
@@ -87,7 +87,7 @@ class VideoEncoder(StreamEncoder):
         self._shape = image.shape
         extradata = self._context.extradata if self._sends_extradata else b""
         is_low_delay = params.latency == "low"
-        depth = params.depth.scale if self._bits == 16 and params.depth is not None else None
+        depth = params.depth.depth_scale if self._bits == 16 and params.depth is not None else None
         self._header = Header(self._magic, width, height, channels, is_low_delay, extradata or b"", depth).to_bytes()
 
     def _packets(self, frame: Any) -> list[Packet]:
