@@ -1,12 +1,17 @@
-"""PNG (ISO/IEC 15948) through OpenCV: lossless, with a CRC in every chunk."""
+"""PNG (ISO/IEC 15948) through OpenCV: lossless, with a CRC in every chunk.
+
+Quantized depth follows 12 bytes, as in ROS's compressed_depth_image_transport: int32 0, float32 A, float32 B.
+"""
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
 from codecbench.core.contracts.codec import Capabilities, Codec
 from codecbench.core.contracts.errors import BitstreamError, ImageError
@@ -15,22 +20,44 @@ from codecbench.core.contracts.params import Params
 from codecbench.core.contracts.recipe import Recipe, Scene
 from codecbench.core.counting.trace import NULL_TRACE, Trace
 from codecbench.plugins.codecs.opencv import Options, flags, library_versions, read_image, write_image
+from codecbench.plugins.codecs.quantizer import DepthParams, DepthQuantization, DepthScale, FarDistance
 from codecbench.plugins.codecs.recipes import FFMPEG, GSTREAMER, compressed_image_transport, opencv
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK = struct.Struct(">I4s")
 _CRC = struct.Struct(">I")
+_INVERSE_DEPTH = struct.Struct("<iff")
 _HEADER = struct.Struct(">IIBBBBB")
 _GRAY, _RGB = 0, 2
 _MAX_DEFLATE_RATIO = 1032  # a deflate stream cannot expand more (RFC 1951: 258 bytes from two bits)
 
 
 class PngParams(Params):
-    """Set zlib's effort."""
+    """Set zlib's effort and the quantizer of 16-bit depth, in steps of 1 mm with 0 for no distance."""
 
     effort: Annotated[int, Field(ge=0, le=9)] | None = Field(
         None, description="zlib level, 0 (none) to 9 (smallest); default: OpenCV's fast one"
     )
+    quantizer: Literal["none", "inverse"] = Field(
+        "none", description="inverse: of 16-bit depth, lossy, as compressed_depth_image_transport sends 32FC1"
+    )
+    far_m: FarDistance = 10.0
+    depth_quantization: DepthQuantization = 100.0
+
+    @model_validator(mode="after")
+    def _check_quantizer(self) -> Self:
+        if self.quantizer == "none" and (self.far_m, self.depth_quantization) != (10.0, 100.0):
+            raise ValueError("far_m and depth_quantization are for inverse depth; set quantizer to inverse")
+        return self
+
+    @property
+    def depth(self) -> DepthParams | None:
+        """How 16-bit frames are quantized; None if they are not."""
+        if self.quantizer == "none":
+            return None
+        return DepthParams(
+            quantizer="inverse", depth_bits=16, far_m=self.far_m, depth_quantization=self.depth_quantization
+        )
 
 
 class Png(Codec[PngParams]):
@@ -39,14 +66,24 @@ class Png(Codec[PngParams]):
     name = "png"
     version = "1"
     params_type = PngParams
-    capabilities = Capabilities(bits=(8, 16), lossless=True)
+    capabilities = Capabilities(bits=(8, 16))
     examples = ({}, {"effort": 9})
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image, bits=(8, 16))
         if image.shape[0] * image.shape[1] > MAX_PIXELS:
             raise ImageError(f"png: an image of shape {image.shape} exceeds the {MAX_PIXELS} pixels of a decoder")
-        return write_image(image, ".png", flags(self._options()))
+        depth, header = self.params.depth, b""
+        if image.dtype == np.uint16 and depth is not None:
+            header = _INVERSE_DEPTH.pack(0, depth.depth_scale.step, depth.depth_scale.offset)
+            image = depth.codes(image)
+        return header + write_image(image, ".png", flags(self._options()))
+
+    def is_lossless(self) -> bool:
+        return self.params.quantizer == "none"
+
+    def remark(self) -> str:
+        return "" if self.params.depth is None else self.params.depth.depth_remark
 
     def _options(self) -> Options:
         """Options for OpenCV."""
@@ -55,9 +92,12 @@ class Png(Codec[PngParams]):
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         effort = self.params.effort
         note = "" if effort is not None else "No level equals OpenCV's default; 1 came within 1 % of it."
-        level = 1 if effort is None else effort
+        keys: dict[str, str | float] = {"format": "png", "png_level": 1 if effort is None else effort}
+        if scene.bits == 16 and self.params.depth is not None:
+            keys |= {"depth_max": self.params.far_m, "depth_quantization": self.params.depth_quantization}
+            return (compressed_image_transport(keys, "Publish 32FC1, in meters.", 16), *super().recipes(scene))
         return (
-            compressed_image_transport({"format": "png", "png_level": level}, note, scene.bits),
+            compressed_image_transport(keys, note, scene.bits),
             opencv(scene, ".png", self._options()),
             Recipe(
                 GSTREAMER, "sh", "", "pngenc filters no rows: frames of the same level were up to 1.6 times as large."
@@ -68,8 +108,15 @@ class Png(Codec[PngParams]):
         )
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
-        shape, bits = _read_shape(bitstream)
-        return read_image(bitstream, shape, "png", bits)
+        scale, start = None, 0
+        if bitstream[:4] == bytes(4) and len(bitstream) > _INVERSE_DEPTH.size:
+            _, a, b = _INVERSE_DEPTH.unpack_from(bitstream)
+            scale, start = DepthScale("inverse", 16, 0, 0.001, a, b, 0.0), _INVERSE_DEPTH.size
+        shape, bits = _read_shape(bitstream[start:])
+        if scale is not None and not (bits == 16 and scale.step > 0 and math.isfinite(scale.step + scale.offset)):
+            raise BitstreamError(f"png: inverse depth of {bits} bits, A {scale.step:g} and B {scale.offset:g}")
+        image = read_image(bitstream[start:], shape, "png", bits)
+        return image if scale is None else scale.pixels(image)
 
     def libraries(self) -> dict[str, str]:
         return library_versions("PNG", "libpng")

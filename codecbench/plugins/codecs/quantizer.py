@@ -89,12 +89,12 @@ class DepthParams(Params):
 
     quantizer: QuantizerKind = "log"
     depth_bits: DepthBits = 12
-    near_m: float = Field(0.01, ge=0.0, description="log, linear: distance of code 0; nearer pixels get code 1")
+    near_m: float = Field(default=0.01, ge=0.0, description="log, linear: distance of code 0; nearer pixels get code 1")
     far_m: FarDistance = 65.535
-    shift_m: float = Field(3.5, gt=0.0, description="log: added to distances; a larger one is closer to linear")
+    shift_m: float = Field(default=3.5, gt=0.0, description="log: added to distances; a larger one is closer to linear")
     depth_quantization: DepthQuantization = 30.0
-    depth_unit_m: float = Field(0.001, gt=0.0, description="meters of a step of the pixels")
-    depth_unknown: Literal[0, 65535] = Field(0, description="value of pixels without distance")
+    depth_unit_m: float = Field(default=0.001, gt=0.0, description="meters of a step of the pixels")
+    depth_unknown: Literal[0, 65535] = Field(default=0, description="value of pixels without distance")
 
     @model_validator(mode="after")
     def _check_depth(self) -> Self:

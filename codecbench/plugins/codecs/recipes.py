@@ -31,11 +31,11 @@ def sentences(*notes: str) -> str:
     return " ".join(filter(None, notes))
 
 
-def compressed_image_transport(keys: Mapping[str, str | int], note: str = "", bits: int = 8) -> Recipe:
+def compressed_image_transport(keys: Mapping[str, str | float], note: str = "", bits: int = 8) -> Recipe:
     """Recipe of parameters for the node that publishes `image_raw`, or depth if it has 16 bits."""
     names = [f"{key}: {value}" for key, value in keys.items()]
     if bits == 16:
-        lines = [f"        {name}" for name in (*names, f"depth_max: {MAX_DEPTH_M}")]
+        lines = [f"        {key}: {value}" for key, value in {"depth_max": MAX_DEPTH_M, **keys}.items()]
         text = "\n".join(["/**:", "  ros__parameters:", "    image_raw:", "      compressedDepth:", *lines])
         return Recipe(COMPRESSED_DEPTH, "yaml", text, note)
     new, old = ([f"{' ' * indent}{name}" for name in names] for indent in (8, 6))

@@ -6,12 +6,14 @@ import io
 import struct
 import zlib
 
+import cv2
 import numpy as np
 import PIL.Image
 import pytest
 import skimage.data
+from pydantic import ValidationError
 
-from codecbench import BitstreamError
+from codecbench import BitstreamError, Scene
 from codecbench.core.contracts.image import png_bytes
 from codecbench.plugins.codecs.png import Png
 
@@ -81,3 +83,25 @@ def test_the_hand_made_files_are_right_but_for_what_is_wrong() -> None:
     image = np.array([[1, 2, 3], [4, 5, 6]], np.uint8)
     rows = b"".join(b"\0" + row.tobytes() for row in image)
     np.testing.assert_array_equal(Png.create().decode(_file(3, 2, rows)), image)
+
+
+def test_inverse_depth_is_what_ros_sends() -> None:
+    """Header of compressed_depth_image_transport: INV_DEPTH (0), A = 100 101 = 10100, B = 1 - 10100 / 10 = -1009."""
+    codec, depth_mm = Png.create(quantizer="inverse"), np.array([[0, 1000, 2000], [7000, 9999, 10000]], np.uint16)
+    bitstream = codec.encode(depth_mm)
+    assert bitstream[:12] == np.int32(0).tobytes() + np.array([10100, -1009], "<f4").tobytes()
+    codes = cv2.imdecode(np.frombuffer(bitstream[12:], np.uint8), cv2.IMREAD_UNCHANGED)
+    assert codes.tolist() == [[0, 9091, 4041], [433, 1, 0]]
+    assert Png.create().decode(bitstream).tolist() == [[0, 1000, 2000], [7004, 10000, 0]]
+    assert not codec.is_lossless()
+    assert "inverse, 16 bits, 0.152 to 10 m" in codec.remark()
+    gray = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    assert codec.encode(gray) == Png.create().encode(gray)
+    for bad in (bytes(12) + bitstream[12:], bitstream[:12] + Png.create().encode(gray), bytes(12)):
+        with pytest.raises(BitstreamError, match="png: "):
+            codec.decode(bad)
+    (transport, *_) = codec.recipes(Scene(480, 640, 1, 30.0, 16))
+    assert "depth_max: 10.0\n        format: png\n" in transport.text
+    assert "depth_quantization: 100.0" in transport.text
+    with pytest.raises(ValidationError, match="far_m and depth_quantization are for inverse depth"):
+        Png.create(far_m=5)

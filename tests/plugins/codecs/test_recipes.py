@@ -29,7 +29,7 @@ NEAR = 0.05
 DIFFERS = ("smaller", "larger", "depend on", "gave", "less exactly", "always has a tune")
 """Words of notes that say that other bytes are sent."""
 COMPRESSED = {"format": str, "jpeg_quality": int, "png_level": int}
-COMPRESSED_DEPTH = {"format": str, "png_level": int, "depth_max": float}
+COMPRESSED_DEPTH = {"format": str, "png_level": int, "depth_max": float, "depth_quantization": float}
 TRANSPORT = {
     "encoder": str, "encoder_av_options": str, "pixel_format": str, "qmax": int, "bit_rate": int, "gop_size": int,
     "max_b_frames": int, "encoder_measure_performance": bool,

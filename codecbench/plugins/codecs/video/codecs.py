@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, TypeVar
 
 from pydantic import Field
@@ -60,6 +61,9 @@ class VideoCodec(StreamCodec[V]):
         return self.params.latency == "low"
 
     def recipes(self, scene: Scene) -> tuple[Recipe, ...]:
+        if scene.bits == 16:
+            note = f"Other stacks take quantized depth as {self.params.traits.ffmpeg_format(self.params, 16)} only."
+            return tuple(replace(recipe, note=note) for recipe in super().recipes(scene))
         return tuple(recipes(self.params, scene))
 
     def remark(self) -> str:
