@@ -34,7 +34,8 @@ FarDistance = Annotated[
     Field(gt=0.0, description="distance of the last code and of all beyond; inverse: from here on depth is unknown"),
 ]
 DepthQuantization = Annotated[
-    float, Field(gt=0.0, description="inverse: distance in m at which a step is 1 m; near distances need a small one")
+    float,
+    Field(gt=0.0, le=1e3, description="inverse: distance in m at which a step is 1 m; a smaller one codes nearer"),
 ]
 
 
@@ -67,12 +68,8 @@ class DepthScale:
     def parse(cls, data: bytes) -> Self:
         """Read what `to_bytes` wrote. Raises BitstreamError for anything else."""
         kind, bits, unknown, *numbers = cls.RECORD.unpack(data)
-        if (
-            kind >= len(_KINDS)
-            or bits not in get_args(get_args(DepthBits)[0])
-            or unknown not in (0, 0xFFFF)
-            or not all(map(math.isfinite, numbers))
-        ):
+        is_valid = kind < len(_KINDS) and bits in (10, 12, 16) and unknown in (0, 0xFFFF)
+        if not (is_valid and all(map(math.isfinite, numbers))):
             raise BitstreamError(f"the depth scale is damaged: kind {kind}, {bits} bits, unknown {unknown}, {numbers}")
         return cls(_KINDS[kind], bits, unknown, *numbers)
 
@@ -93,7 +90,7 @@ class DepthParams(Params):
     far_m: FarDistance = 65.535
     shift_m: float = Field(default=3.5, gt=0.0, description="log: added to distances; a larger one is closer to linear")
     depth_quantization: DepthQuantization = 30.0
-    depth_unit_m: float = Field(default=0.001, gt=0.0, description="meters of a step of the pixels")
+    depth_unit_m: float = Field(default=0.001, gt=0.0, le=1.0, description="meters of a step of the pixels")
     depth_unknown: Literal[0, 65535] = Field(default=0, description="value of pixels without distance")
 
     @model_validator(mode="after")
