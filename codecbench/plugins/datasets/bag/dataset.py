@@ -12,10 +12,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.core.contracts.image import Image, channel_count
+from codecbench.core.contracts.image import Image, layout_of
 from codecbench.core.contracts.params import PathParam
-from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
+from codecbench.core.contracts.sequence import Dataset, Depth, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
+from codecbench.plugins.datasets.bag.depth import decode_depth, depth_notes, is_depth
 from codecbench.plugins.datasets.bag.ground_truth import PoseSource, find_ground_truth, frame_name
 from codecbench.plugins.datasets.bag.images import (
     bits_of,
@@ -31,6 +32,7 @@ from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic
 from codecbench.plugins.datasets.calibration import describe_lens
 from codecbench.plugins.datasets.files import fingerprint_facts, json_digest
 from codecbench.plugins.datasets.selection import (
+    DepthParams,
     GivenCameraParams,
     KnownCamera,
     Selection,
@@ -41,11 +43,13 @@ from codecbench.plugins.datasets.selection import (
 from codecbench.plugins.datasets.tables import rate_hz
 
 _USUAL_RATE_HZ: Final = 30.0
+_USUAL_UNIT_M: Final = 0.001
+"""Step of 16UC1, from ROS's REP 118; 32FC1 is rounded to it."""
 _MOST_LISTED: Final = 40
 _SAMPLED_FRAMES: Final = 9
 
 
-class BagParams(Selection, GivenCameraParams):
+class BagParams(Selection, GivenCameraParams, DepthParams):
     """Set which topics of a bag give the frames, the camera and the ground truth."""
 
     path: Annotated[PathParam, Field(description="a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag")]
@@ -53,6 +57,13 @@ class BagParams(Selection, GivenCameraParams):
     time: Annotated[
         Literal["header", "bag"], Field(description="frame times: of the message headers, or of the recording")
     ] = "header"
+    samples: Annotated[
+        Literal["auto", "8_bits", "16_bits", "depth"],
+        Field(
+            description="of more than 8 bits: auto takes depth (32FC1, compressedDepth, 16UC1 of a topic named so) as "
+            "distances, and 8 bits of others"
+        ),
+    ] = "auto"
     bits: Annotated[
         int, Field(ge=8, le=16, description="bits in use of 16-bit samples; the upper 8 of them are kept")
     ] = 16
@@ -107,8 +118,12 @@ class BagSequence(FrameSequence):
         self.name = params.path.resolve().stem
         self.timestamps_s = times_ns[chosen] / 1e9
         self.frame_rate_hz = rate_hz((times_ns - times_ns[0]) / 1e9, _USUAL_RATE_HZ * params.stride) / params.stride
-        image, first = self._read_image(0)
-        self.channels = channel_count(image)
+        with workaround(skip=[self._chosen[0]]):
+            first = self._recording.message(self._topic, int(self._numbers[0]))
+        if params.samples == "depth" or (params.samples == "auto" and is_depth(first, self._topic.name)):
+            self.depth = Depth(params.depth_unit_m or _USUAL_UNIT_M, params.depth_unknown)
+        image = self._read_image(0)
+        self.channels, self.bits = layout_of(image)
         self._size = image.shape[1::-1]
         uncalibrated = {} if params.calibration else {"camera": "none"}
         with workaround(**uncalibrated):
@@ -119,8 +134,9 @@ class BagSequence(FrameSequence):
         with workaround(ground_truth="none"):
             self.ground_truth, truth_notes = find_ground_truth(self._recording, pose_source)
         compressed = self._topic.type == COMPRESSED
-        largest = None if compressed else self._largest_sample()
+        largest = None if compressed or self.bits == 16 else self._largest_sample()
         format_notes = compressed_notes(first) if compressed else image_notes(first, params.bits, largest)
+        format_notes = format_notes if self.depth is None else depth_notes(first, self.depth)
         self.origin = Origin(
             f"{self._recording.kind}, topic {self._topic.name}",
             known.source,
@@ -147,6 +163,7 @@ class BagSequence(FrameSequence):
                 "messages": [hashlib.sha256(message).hexdigest() for message in messages],
                 "bits": self._params.bits,
                 "channels": self.channels,
+                **({} if self.bits == 8 else {"samples": self.bits}),
                 **fingerprint_facts(self),
             }
         )
@@ -154,19 +171,18 @@ class BagSequence(FrameSequence):
     def read(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise DatasetError(f"{self._params.path}: frame {index} is not in 0..{len(self) - 1}")
-        image, _ = self._read_image(index)
+        image = self._read_image(index)
         with workaround(skip=[self._chosen[index]]):
             self._check(image, int(self._numbers[index]))
         return Frame(index, float(self.timestamps_s[index]), image)
 
-    def _read_image(self, index: int) -> tuple[Image, Any]:
-        """Read a frame and its message."""
+    def _read_image(self, index: int) -> Image:
         decode = decode_compressed if self._topic.type == COMPRESSED else decode_image
-        number = int(self._numbers[index])
+        number, bits = int(self._numbers[index]), None if self._params.samples == "16_bits" else self._params.bits
         with workaround(skip=[self._chosen[index]]):
-            message = self._recording.message(self._topic, number)
-            image = decode(message, self._params.bits, self._recording.where(self._topic, number))
-        return convert_color(image, self._params.color), message
+            message, where = self._recording.message(self._topic, number), self._recording.where(self._topic, number)
+            image = decode(message, bits, where) if self.depth is None else decode_depth(message, self.depth, where)
+        return convert_color(image, self._params.color)
 
     def _largest_sample(self) -> int | None:
         """The largest sample of a few frames spread over the sequence; None if they do not have 16 bits."""
@@ -205,9 +221,11 @@ class BagSequence(FrameSequence):
     def _check(self, image: Image, number: int) -> None:
         where = self._recording.where(self._topic, number)
         (width, height), camera = image.shape[1::-1], self.camera
-        if (width, height) != self._size or channel_count(image) != self.channels:
-            first = f"{self._size[0]}x{self._size[1]} with {self.channels} channel(s)"
-            raise DatasetError(f"{where}: is {width}x{height} with {channel_count(image)}, the first frame {first}")
+        if self.depth is not None and image.dtype != np.uint16:
+            raise DatasetError(f"{where}: has samples of {image.dtype}; depth has 16 bits")
+        if (width, height) != self._size or layout_of(image) != self.layout:
+            first = f"{self._size[0]}x{self._size[1]}, {self.layout}"
+            raise DatasetError(f"{where}: is {width}x{height}, {layout_of(image)}, the first frame {first}")
         if camera is not None and (width, height) != (camera.width, camera.height):
             raise DatasetError(
                 f"{where}: is {width}x{height}, but the calibration is for {camera.width}x{camera.height}; "
@@ -222,23 +240,23 @@ def image_topic(recording: Recording, name: str | None) -> Topic:
     }
     if name is not None and name in images:
         return images[name]
-    readable = {name: topic for name, topic in images.items() if _may_be_supported(recording, topic)}
+    readable = {name: topic for name, topic in images.items() if _may_be_intensities(recording, topic)}
     if name is None and len(readable or images) == 1:
         return next(iter((readable or images).values()))
     if not images:
         topics = list(recording.topics.values())[:_MOST_LISTED]
         listed = ", ".join(f"{topic.name} ({topic.type}, {len(topic)})" for topic in topics)
         raise DatasetError(f"{recording.path}: has no image topic; topics: {listed or 'none'}")
-    images = readable or images
     listed = "".join(f"\n  {describe_topic(recording, topic)}" for topic in list(images.values())[:_MOST_LISTED])
     what = f"{len(images)} image topics" if name is None else f"topic {name!r} has no images"
     raise DatasetError(f"{recording.path}: {what}; choose one with `topic`:{listed}")
 
 
-def _may_be_supported(recording: Recording, topic: Topic) -> bool:
-    """Whether the encoding of a topic's first image is supported; True if that message is damaged."""
+def _may_be_intensities(recording: Recording, topic: Topic) -> bool:
+    """Whether a topic's first image is no depth and of a supported encoding; True if that message is damaged."""
     try:
-        return is_supported(recording.message(topic, 0))
+        message = recording.message(topic, 0)
+        return is_supported(message) and not is_depth(message, topic.name)
     except DatasetError:
         return True
 
@@ -248,7 +266,12 @@ def describe_topic(recording: Recording, topic: Topic) -> str:
     try:
         message = recording.message(topic, 0)
         if topic.type == COMPRESSED:
-            height, width = decode_compressed(message, 16, recording.where(topic, 0)).shape[:2]
+            where = recording.where(topic, 0)
+            depth = is_depth(message, topic.name)
+            image = (
+                decode_depth(message, Depth(_USUAL_UNIT_M), where) if depth else decode_compressed(message, 16, where)
+            )
+            height, width = image.shape[:2]
             kind = message.format.strip()[:40]
         else:
             width, height, kind = message.width, message.height, message.encoding[:40]

@@ -61,17 +61,30 @@ def _layouts() -> dict[str, _Layout]:
 _LAYOUTS: Final = _layouts()
 
 
-def decode_image(message: Any, bits: int, where: str) -> Image:
+def decode_image(message: Any, bits: int | None, where: str) -> Image:
     """The gray (H, W) or RGB (H, W, 3) image of a sensor_msgs/Image. Raises DatasetError, naming `where`.
 
-    bits: how many of 16 bits the samples fill; the upper 8 of these are kept. Bayer images are interpolated bilinearly.
+    bits: how many of 16 bits the samples fill; the upper 8 of these are kept. None keeps all 16 bits of gray. Bayer
+    images are interpolated bilinearly.
     """
     layout = _LAYOUTS.get(message.encoding)
     if layout is None:
         known = ", ".join(sorted(_LAYOUTS))
         raise DatasetError(f"{where}: encoding {message.encoding[:40]!r} is not supported; supported: {known}")
+    samples = read_samples(message, layout.channels, layout.bits, where)
+    if layout.bits == 16 and bits is None:
+        if layout.channels > 1 or layout.conversion is not None:
+            raise DatasetError(
+                f"{where}: {message.encoding} has color; frames of 16 bits are gray: set `samples: 8_bits`"
+            )
+        return np.asarray(samples, dtype=np.uint16)
+    return _rgb(eight_bits(samples, bits or 16) if layout.bits == 16 else samples, layout, where)
+
+
+def read_samples(message: Any, channels: int, bits: int, where: str) -> NDArray[Any]:
+    """The samples (H, W) or (H, W, C) of a sensor_msgs/Image: uint8, uint16, or float32. Raises DatasetError."""
     width, height, step = int(message.width), int(message.height), int(message.step)
-    row_bytes = width * layout.channels * layout.bits // 8
+    row_bytes = width * channels * bits // 8
     if not 0 < width * height <= MAX_PIXELS or step < row_bytes or len(message.data) < step * (height - 1) + row_bytes:
         raise DatasetError(
             f"{where}: {width}x{height} {message.encoding} in rows of {step} bytes does not fit {len(message.data)} "
@@ -81,10 +94,9 @@ def decode_image(message: Any, bits: int, where: str) -> Image:
     padded = np.zeros(step * height, np.uint8)
     padded[: len(message.data)] = message.data[: len(padded)]
     rows = np.ascontiguousarray(padded.reshape(height, step)[:, :row_bytes])
-    if layout.bits == 16:
-        rows = eight_bits(rows.view(">u2" if message.is_bigendian else "<u2"), bits)
-    samples = rows.reshape((height, width, layout.channels) if layout.channels > 1 else (height, width))
-    return _rgb(samples, layout, where)
+    order, kind = ">" if message.is_bigendian else "<", {8: "u1", 16: "u2", 32: "f4"}[bits]
+    samples = rows.view(order + kind).reshape((height, width, channels) if channels > 1 else (height, width))
+    return samples.astype(kind, copy=False)
 
 
 def _rgb(samples: Any, layout: _Layout, where: str) -> Image:
@@ -102,10 +114,8 @@ def eight_bits(samples: NDArray[Any], bits: int) -> NDArray[np.uint8]:
 
 
 def is_supported(message: Any) -> bool:
-    """Whether the encoding of an Image or CompressedImage is supported; depth in meters, 32FC1, is not."""
-    if hasattr(message, "format"):
-        return "compressedDepth" not in message.format
-    return message.encoding in _LAYOUTS
+    """Whether the encoding of an Image or CompressedImage is one of intensities that are supported."""
+    return hasattr(message, "format") or message.encoding in _LAYOUTS
 
 
 def bits_of(largest: int) -> int:
@@ -122,29 +132,29 @@ def largest_sample(message: Any) -> int | None:
     return int(np.asarray(whole).view(">u2" if message.is_bigendian else "<u2").max(initial=0))
 
 
-def decode_compressed(message: Any, bits: int, where: str) -> Image:
+def decode_compressed(message: Any, bits: int | None, where: str) -> Image:
     """Decode a sensor_msgs/CompressedImage; 16 bits and Bayer patterns as in `decode_image`.
 
     Raises DatasetError, naming `where`.
     """
-    if "compressedDepth" in message.format:
-        raise DatasetError(f"{where}: format {message.format[:60]!r} is depth, not an image; choose another topic")
     content = np.ascontiguousarray(message.data)
-    _check_header(content, where)
+    check_compressed(content, where)
     try:
         stored = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         stored = None
     if stored is None or stored.dtype not in (np.uint8, np.uint16):
         raise DatasetError(f"{where}: its {len(content)} bytes of {message.format[:60]!r} cannot be decoded")
-    samples = eight_bits(stored, bits) if stored.dtype == np.uint16 else stored
+    if stored.dtype == np.uint16 and bits is None and stored.ndim == 2:
+        return np.asarray(stored, dtype=np.uint16)
+    samples = eight_bits(stored, bits or 16) if stored.dtype == np.uint16 else stored
     if samples.ndim == 2:
         layout = _LAYOUTS.get(re.split(r"[;\s]", message.format.strip())[0], _LAYOUTS["mono8"])
         return _rgb(samples, layout if layout.channels == 1 else _LAYOUTS["mono8"], where)
     return _rgb(samples, _LAYOUTS["bgra8" if samples.shape[2] == 4 else "bgr8"], where)
 
 
-def _check_header(content: NDArray[np.uint8], where: str) -> None:
+def check_compressed(content: NDArray[np.uint8], where: str) -> None:
     """Raise DatasetError, before decoding, if the content is no image, truncated, or too large by its header."""
     try:
         with (

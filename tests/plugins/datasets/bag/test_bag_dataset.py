@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import gray_from_image, png_bytes
-from codecbench.core.contracts.sequence import Camera, Origin
+from codecbench.core.contracts.sequence import Camera, Depth, Origin
 from codecbench.plugins.datasets.bag.dataset import Bag
 from codecbench.plugins.datasets.bag.recording import open_recording
 
@@ -120,15 +120,16 @@ def test_several_topics_of_pictures_are_listed_and_one_is_chosen_by_name(tmp_pat
     assert len(Bag.create(path=path, topic="/left/image").open()) == 3
 
 
-def test_depths_are_not_offered_as_pictures(tmp_path):
+def test_depth_is_taken_only_if_it_is_named_or_alone(tmp_path):
     path = path_for(tmp_path, "mcap")
     with BagWriter(path, "mcap") as bag:
         bag.write("/depth", bag.image(np.zeros((24, 32), np.float32), "32FC1", time_ns(0)), time_ns(0))
         bag.write("/depth/small", bag.compressed_image(b"x", "32FC1; compressedDepth png", time_ns(0)), time_ns(0))
         bag.write("/left", bag.image(picture(1), "rgb8", time_ns(0)), time_ns(0))
     assert Bag.create(path=path).open().origin.kind.endswith(" /left")
-    assert re.findall(r"^  (/\S+): ", message(path=path, topic="/x"), re.MULTILINE) == ["/left"]
-    assert re.search(r"/depth\[0\]: .*'32FC1'", message(path=path, topic="/depth"))
+    listed = ["/depth", "/depth/small", "/left"]
+    assert sorted(re.findall(r"^  (/\S+): ", message(path=path, topic="/x"), re.MULTILINE)) == listed
+    assert Bag.create(path=path, topic="/depth").open().depth == Depth(0.001)
 
 
 @pytest.mark.parametrize("kind", FORMATS)
