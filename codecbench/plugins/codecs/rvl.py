@@ -57,10 +57,11 @@ class Rvl(Codec[NoParams]):
         height, width = pixels.shape
         if pixels.size > MAX_PIXELS:
             raise ImageError(f"rvl: an image of {width}x{height} exceeds the {MAX_PIXELS} pixels of a decoder")
-        words = np.empty(pixels.size + 4, np.uint32)  # up to 7 nibbles a pixel, and the first runs
+        words = np.empty(_HEADER.size // 4 + pixels.size + 4, np.uint32)  # up to 7 nibbles a pixel, and the first runs
+        _HEADER.pack_into(words.data, 0, 0, 0.0, 0.0, width, height)
         with trace.stage("code runs") as run:
-            length = run(encode_runs, pixels.reshape(-1), words)
-        return _HEADER.pack(0, 0.0, 0.0, width, height) + words[:length].astype("<u4", copy=False).tobytes()
+            length = run(encode_runs, pixels.reshape(-1), words[_HEADER.size // 4 :])
+        return words[: _HEADER.size // 4 + length].tobytes()
 
     def decode(self, bitstream: bytes, *, trace: Trace = NULL_TRACE) -> Image:
         if len(bitstream) <= _HEADER.size or len(bitstream) % 4:
@@ -68,7 +69,7 @@ class Rvl(Codec[NoParams]):
         form, _, _, width, height = _HEADER.unpack_from(bitstream)
         if form != 0 or not 0 < width * height <= MAX_PIXELS:
             raise BitstreamError(f"rvl: format {form}, {width}x{height}; 0 and 1..{MAX_PIXELS} pixels are read")
-        words = np.frombuffer(bitstream, "<u4", offset=_HEADER.size).astype(np.uint32)
+        words = np.frombuffer(bitstream, np.uint32, offset=_HEADER.size)
         pixels = np.zeros(width * height, np.uint16)
         with trace.stage("decode runs") as run:
             status = run(decode_runs, words, pixels)
@@ -124,10 +125,9 @@ def encode_runs(pixels: Any, words: Any) -> Any:
                 bits += 4 + (more << 2)
             else:
                 word, bits, position = _put(folded, word, bits, position, words)
-            if bits >= 32:
-                bits -= 32
-                words[position] = np.uint32(word >> bits)
-                position += 1
+            words[position] = np.uint32(word >> (bits & 31))  # counts once it is full
+            position += bits >> 5
+            bits &= 31
         start = end
     if bits > 0:
         words[position] = np.uint32(word << (32 - bits))
