@@ -16,7 +16,7 @@ from codecbench.core.conformance.harness import Shape
 from codecbench.core.contracts.codec import Architecture
 from codecbench.core.contracts.hooks import KINDS
 from codecbench.core.contracts.metric import Role
-from codecbench.core.engine.hosting.channel import METHODS
+from codecbench.core.engine.hosting.channel import FACTS, METHODS
 from codecbench.core.engine.plugins.registry import Registry
 
 CORE = Path(codecbench.__file__).parent / "core"
@@ -30,8 +30,10 @@ METRICS = {
 }
 VOCABULARY = {word for words in (Role, Shape, Architecture) for word in get_args(words)}
 VOCABULARY |= {method for methods in METHODS.values() for method in methods} | {"trace"}
-"""Roles of metrics, shapes of codecs, architectures, and methods and keywords of contracts are words of core; that an
-evaluator or a metric is called like one of them is no dependence."""
+VOCABULARY |= {fact for facts in FACTS.values() for fact in facts} | {"zstd"}
+"""Roles of metrics, shapes of codecs, architectures, and methods, attributes and keywords of contracts are words of
+core, and so is the compression of Parquet files; that a plugin or a metric is called like one of them is no
+dependence."""
 
 
 def quoted_in_python(path: Path) -> Iterator[tuple[int, str]]:

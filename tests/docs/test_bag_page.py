@@ -56,7 +56,19 @@ def test_the_lines_of_python_run(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_every_parameter_and_encoding_is_explained() -> None:
-    shared = {"start", "stop", "stride", "skip", "color", "scale", "calibration_error", "path", "fov_deg"}
+    shared = {
+        "start",
+        "stop",
+        "stride",
+        "skip",
+        "color",
+        "scale",
+        "calibration_error",
+        "path",
+        "fov_deg",
+        "depth_unit_m",
+        "depth_unknown",
+    }
     for name in set(BagParams.model_fields) - shared:
         assert f"| `{name}` |" in SECTION, name
     for name in _LAYOUTS:
