@@ -138,6 +138,10 @@ class AnyCodec(Configured[P]):
         """
         return ""
 
+    def remark_at(self, bits: int) -> str:
+        """Return the remark on frames of 8 or 16 bits a sample; by default `remark`."""
+        return self.remark()
+
     def libraries(self) -> dict[str, str]:
         """Return the foreign libraries whose version can change the bytes, as name -> version. A run records them."""
         return {}

@@ -82,8 +82,8 @@ class Png(Codec[PngParams]):
     def is_lossless(self) -> bool:
         return self.params.quantizer == "none"
 
-    def remark(self) -> str:
-        return "" if self.params.depth is None else self.params.depth.depth_remark
+    def remark_at(self, bits: int) -> str:
+        return "" if bits == 8 or self.params.depth is None else self.params.depth.depth_remark
 
     def _options(self) -> Options:
         """Options for OpenCV."""

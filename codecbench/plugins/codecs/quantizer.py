@@ -23,7 +23,7 @@ Kind = Literal["none", "linear", "log", "inverse"]
 _KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 _USED_BY: Final = {
     "near_m": ("linear", "log"), "far_m": _KINDS[1:], "shift_m": ("log",), "depth_quantization": ("inverse",),
-    "depth_unit_m": _KINDS[1:], "depth_unknown": _KINDS[1:],
+    "depth_unit_m": _KINDS[1:], "depth_unknown": _KINDS[1:], "valid_from_m": _KINDS[1:],
 }  # fmt: skip
 _PIXELS: Final = 1 << 16
 
@@ -56,12 +56,14 @@ class DepthScale:
     step: float
     offset: float
     shift_m: float
+    valid_from_m: float = 0.0
+    """Distance below which there is none: what noise makes of code 0."""
 
-    RECORD = struct.Struct("<BBH4d")
+    RECORD = struct.Struct("<BBH5d")
 
     def to_bytes(self) -> bytes:
-        """Serialize: kind (1), bits (1), unknown (2), the four other values as double precision, little-endian."""
-        numbers = (self.unit_m, self.step, self.offset, self.shift_m)
+        """Serialize: kind (1), bits (1), unknown (2), the five other values as double precision, little-endian."""
+        numbers = (self.unit_m, self.step, self.offset, self.shift_m, self.valid_from_m)
         return self.RECORD.pack(_KINDS.index(self.kind), self.bits, self.unknown, *numbers)
 
     @classmethod
@@ -89,6 +91,7 @@ class DepthParams(Params):
     near_m: float = Field(default=0.01, ge=0.0, description="log, linear: distance of code 0; nearer pixels get code 1")
     far_m: FarDistance = 65.535
     shift_m: float = Field(default=3.5, gt=0.0, description="log: added to distances; a larger one is closer to linear")
+    valid_from_m: float = Field(default=0.0, ge=0.0, description="decoded distances below this are none")
     depth_quantization: DepthQuantization = 30.0
     depth_unit_m: float = Field(default=0.001, gt=0.0, le=1.0, description="meters of a step of the pixels")
     depth_unknown: Literal[0, 65535] = Field(default=0, description="value of pixels without distance")
@@ -117,7 +120,7 @@ class DepthParams(Params):
         scale, near_m = self.depth_scale, self.near_m
         if self.quantizer == "inverse":
             near_m = scale.step / ((1 << self.depth_bits) - 1 - scale.offset)
-        return f"16-bit depth is quantized ({self.quantizer}, {self.depth_bits} bits, {near_m:.3g} to {self.far_m:g} m)"
+        return f"depth is quantized ({self.quantizer}, {self.depth_bits} bits, {near_m:.3g} to {self.far_m:g} m)"
 
     @property
     def depth_scale(self) -> DepthScale:
@@ -134,7 +137,8 @@ class DepthParams(Params):
             z0 = np.float32(self.depth_quantization)
             a = z0 * (z0 + np.float32(1.0))
             step, offset = float(a), float(np.float32(1.0) - a / np.float32(self.far_m))
-        return DepthScale(self.quantizer, self.depth_bits, self.depth_unknown, self.depth_unit_m, step, offset, shift_m)
+        meaning = (self.quantizer, self.depth_bits, self.depth_unknown, self.depth_unit_m)
+        return DepthScale(*meaning, step, offset, shift_m, self.valid_from_m)
 
     def codes(self, image: Image) -> Image:
         """Return the uint16 codes of (H, W) uint16 pixels.
@@ -175,5 +179,6 @@ def _pixel_table(scale: DepthScale) -> NDArray[np.uint16]:
             pixels = np.rint(depth_m / scale.unit_m)
     lowest = int(scale.unknown == 0)  # no distance may become the value of pixels without distance
     table: NDArray[np.uint16] = np.clip(np.nan_to_num(pixels), lowest, lowest + _PIXELS - 2).astype(np.uint16)
+    table[table * scale.unit_m < scale.valid_from_m] = scale.unknown
     table[0] = scale.unknown
     return table

@@ -94,7 +94,7 @@ def test_inverse_depth_is_what_ros_sends() -> None:
     assert codes.tolist() == [[0, 9091, 4041], [433, 1, 0]]
     assert Png.create().decode(bitstream).tolist() == [[0, 1000, 2000], [7004, 10000, 0]]
     assert not codec.is_lossless()
-    assert "inverse, 16 bits, 0.152 to 10 m" in codec.remark()
+    assert "inverse, 16 bits, 0.152 to 10 m" in codec.remark_at(16)
     gray = np.arange(12, dtype=np.uint8).reshape(3, 4)
     assert codec.encode(gray) == Png.create().encode(gray)
     for bad in (bytes(12) + bitstream[12:], bitstream[:12] + Png.create().encode(gray), bytes(12)):

@@ -90,7 +90,7 @@ def test_tables_are_the_same_on_every_machine() -> None:
 def test_a_scale_comes_back_from_its_bytes_and_a_damaged_one_is_refused() -> None:
     scale = DepthParams(**ROS).depth_scale
     sent = scale.to_bytes()
-    assert sent.hex() == "03100000" + np.array([0.001, 10100, -1009, 0], "<f8").tobytes().hex()
+    assert sent.hex() == "03100000" + np.array([0.001, 10100, -1009, 0, 0], "<f8").tobytes().hex()
     assert DepthScale.parse(sent) == scale
     for place, value in ((0, 4), (1, 11), (2, 1), (10, 255)):
         damaged = bytearray(sent)
@@ -114,3 +114,11 @@ def test_a_scale_comes_back_from_its_bytes_and_a_damaged_one_is_refused() -> Non
 def test_parameters_that_make_no_sense_are_refused(setting: dict[str, Any], pattern: str) -> None:
     with pytest.raises(ValidationError, match=pattern):
         DepthParams(**setting)
+
+
+def test_distances_below_the_nearest_valid_one_are_none() -> None:
+    params = DepthParams(far_m=10.0, valid_from_m=0.4)
+    decoded = params.depth_scale.pixels(np.arange(1 << 12, dtype=np.uint16))
+    plain = DepthParams(far_m=10.0).depth_scale.pixels(np.arange(1 << 12, dtype=np.uint16))
+    assert np.array_equal(decoded, np.where(plain < 400, 0, plain))
+    assert DepthScale.parse(params.depth_scale.to_bytes()) == params.depth_scale

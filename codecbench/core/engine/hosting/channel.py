@@ -46,8 +46,8 @@ METHODS: Final[dict[str, dict[str, str]]] = {
     "codec": {
         "open_encoder": "encoder", "open_decoder": "decoder", "encoder": "encoder", "decoder": "decoder",
         "prepared": "codec", "with_params": "codec",
-        **dict.fromkeys(("encode", "decode", "decode_partial", "extract", "is_lossless", "is_low_delay", "remark",
-                         "libraries", "recipes"), ""),
+        **dict.fromkeys(("encode", "decode", "decode_partial", "extract", "is_lossless", "is_low_delay",
+                         "remark_at", "libraries", "recipes"), ""),
     },
     "encoder": {"push": "", "flush": ""},
     "decoder": {"push": "", "flush": ""},

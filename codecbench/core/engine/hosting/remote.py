@@ -136,8 +136,8 @@ class RemoteCodec(Remote, AnyCodec[Any]):
     def is_low_delay(self) -> bool:
         return bool(self.call("is_low_delay"))
 
-    def remark(self) -> Any:
-        return self.call("remark")
+    def remark_at(self, bits: int) -> Any:
+        return self.call("remark_at", bits)
 
     def libraries(self) -> Any:
         return self.call("libraries")

@@ -208,7 +208,7 @@ def _evaluate(cell: Cell, item: WorkItem, bench: Workbench, position: WorkPositi
         position.at("decode")
         coded.check(lambda: bench.create(cell.codec, f"{cell.id} alone", _seed(cell)))
     position.at("remark")
-    notes = (*_remarks(codec), *(() if coded is None else coded.notes))
+    notes = (*_remarks(codec, sequence.bits), *(() if coded is None else coded.notes))
     position.at("libraries")
     libraries = _libraries(codec)
     contents, samples = measured.artifacts, [m for m in measured.measurements if m.frame is not None]
@@ -226,8 +226,8 @@ def _evaluate(cell: Cell, item: WorkItem, bench: Workbench, position: WorkPositi
     )
 
 
-def _remarks(codec: AnyCodec[Any]) -> tuple[str, ...]:
-    remark = codec.remark()
+def _remarks(codec: AnyCodec[Any], bits: int) -> tuple[str, ...]:
+    remark = codec.remark_at(bits)
     if not isinstance(remark, str):
         raise PluginError(f"remark returned {clean_line(repr(remark))}; it must return text")
     return (clean_line(remark),) if remark else ()

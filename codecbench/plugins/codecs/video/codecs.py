@@ -67,9 +67,11 @@ class VideoCodec(StreamCodec[V]):
         return tuple(recipes(self.params, scene))
 
     def remark(self) -> str:
+        return _REMARKS[self.params.pixel_format]
+
+    def remark_at(self, bits: int) -> str:
         depth = self.params.depth
-        quantized = "" if depth is None else depth.depth_remark
-        return "; ".join(filter(None, (_REMARKS[self.params.pixel_format], quantized)))
+        return self.remark() if bits == 8 or depth is None else depth.depth_remark
 
     def libraries(self) -> dict[str, str]:
         return versions()

@@ -128,10 +128,10 @@ def test_what_an_encoder_cannot_do_is_refused(codec_class: Any, setting: dict[st
 
 
 def test_results_say_how_depth_was_quantized() -> None:
-    assert "depth is quantized (log, 12 bits, 0.01 to 65.535 m)" in Hevc.create().remark()
+    assert "depth is quantized (log, 12 bits, 0.01 to 65.535 m)" in Hevc.create().remark_at(16)
     inverse = H264.create(quantizer="inverse", far_m=10)
-    assert "(inverse, 10 bits, 0.229 to 10 m)" in inverse.remark()  # A = 240: 240 / (1023 + 23) = 0.229
-    assert Ffv1.create().remark() == ""
+    assert "(inverse, 10 bits, 0.229 to 10 m)" in inverse.remark_at(16)  # A = 240: 240 / (1023 + 23) = 0.229
+    assert Ffv1.create().remark_at(16) == ""
 
 
 def test_a_video_file_holds_the_samples() -> None:
