@@ -48,9 +48,15 @@ class DepthParams(Params):
 
 def _metric(name: str, unit: str, summary: str, label: str, column_header: str = "", **options: Any) -> Metric:
     """A quality that is better when lower; with a column header it is a headline."""
-    options |= {"headline": bool(column_header), "label": label, "column_header": column_header}
+    options = {
+        "role": "quality",
+        "headline": bool(column_header),
+        "label": label,
+        "column_header": column_header,
+        **options,
+    }
     scale: Scale = "linear" if unit in ("%", "deg") else "log"
-    return Metric(name, unit, "lower", summary, role="quality", scale=scale, **options)
+    return Metric(name, unit, "lower", summary, scale=scale, **options)
 
 
 class DepthEvaluator(SequenceEvaluator[DepthParams]):
@@ -70,7 +76,7 @@ class DepthEvaluator(SequenceEvaluator[DepthParams]):
     metrics: ClassVar[tuple[Metric, ...]] = (
         _metric(
             "noise_ratio", "1", "RMS of the error over noise_per_m times the squared distance; gross errors are 10",
-            "error over sensor noise", "error /\nnoise", enough=1.0,
+            "error over sensor noise", "error /\nnoise", enough=1.0, role="task",
         ),
         _metric("mean_error_mm", "mm", "mean absolute error", "mean error", "error mm"),
         _metric("median_error_mm", "mm", "median absolute error", "median error"),
