@@ -30,7 +30,7 @@ FIRST: Final = (*((k, n) for k, n in CODECS if n in ("raw", "jpeg", "jpeg_qf", "
 TRIED: Final = (*SLAM, ("codec", "h264"), ("codec", "jpeg"), ("evaluator", "localization"), ("evaluator", "trajectory"))
 
 MATRICES: Final = ("first", "reference", "effort", "joining", "context", "tasks", "link", "link_room", "worlds",
-                   "paper", "paper_loops", "slam_anchor")  # fmt: skip
+                   "depth", "paper", "paper_loops", "slam_anchor")  # fmt: skip
 """Of examples/."""
 
 
@@ -114,6 +114,8 @@ BLOCKS: Final = {
     ),
     "paper": Block("docs/reproduction.md", ("paper", "paper_loops"), tables.paper),
     "streams-joining": Block("docs/video.md", ("joining",), tables.settings(tables.JOINING)),
+    "depth-lossless": Block("docs/depth.md", ("depth",), tables.depth_lossless),
+    "depth-lossy": Block("docs/depth.md", ("depth",), tables.depth_lossy),
     "context-order": Block("docs/multilevel.md", ("context",), tables.order("jpeg")),
     "follow": Block("docs/task-metrics.md", ("tasks",), tables.followers),
     "link-room": Block(

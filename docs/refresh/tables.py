@@ -84,6 +84,19 @@ JOINING: Final = {
     "joining, frames": Column("stream.joining_frames.mean"),
     "worst, frames": Column("stream.joining_worst_frames.mean"),
 }
+TIMES: Final = {
+    "encode ms": Column("timing.encode_wall_ms.median"),
+    "decode ms": Column("timing.decode_wall_ms.median"),
+}
+DEPTH: Final = {
+    "error / noise": Column("depth.noise_ratio.mean"),
+    "mean mm": Column("depth.mean_error_mm.mean"),
+    "99 % mm": Column("depth.p99_error_mm.mean"),
+    "at edges mm": Column("depth.edge_error_mm.mean"),
+    "gained %": Column("depth.invented_percent.mean"),
+    "flying %": Column("depth.flying_percent.mean"),
+    "normals deg": Column("depth.normal_error_deg.mean"),
+}
 PATHS: Final = {
     "tracked": Column("trajectory.tracked_fraction.median"),
     "ATE mm": Column("trajectory.ate_rmse_m.median", 1e3),
@@ -104,6 +117,35 @@ def settings(columns: dict[str, Column]) -> RunTable:
         yield table(["codec", "setting", *columns], cells)
 
     return content
+
+
+def depth_lossless(run: RunResult) -> Iterator[str]:
+    """The settings without any error by size, with their size on each sequence and their times on the first."""
+    first, *others = run.plan.sequences
+    rows = [row for row in _rows(run, first.name) if row["depth.worst_error_mm.max"] == 0]
+    rates = [{(row["codec"], row["setting"]): row for row in _rows(run, entry.name)} for entry in (first, *others)]
+    rate = RATE["bit/px"]
+    cells = [
+        [*key, *(rate.shown(of[key]) for of in rates), *(column.shown(rates[0][key]) for column in TIMES.values())]
+        for key in sorted(((row["codec"], row["setting"]) for row in rows), key=lambda key: rates[0][key][rate.name])
+    ]
+    yield f"{' and '.join(f'{entry.frames} frames of {entry.name}' for entry in run.plan.sequences)}:\n"
+    yield table(["codec", "setting", *(f"bit/px, {entry.name}" for entry in run.plan.sequences), *TIMES], cells)
+
+
+def depth_lossy(run: RunResult) -> Iterator[str]:
+    """The settings with errors on the first sequence."""
+    entry = run.plan.sequences[0]
+    rows = [row for row in _rows(run, entry.name) if row["depth.worst_error_mm.max"] > 0]
+    columns = (*RATE.values(), *DEPTH.values())
+    cells = [[row["codec"], row["setting"], *(column.shown(row) for column in columns)] for row in rows]
+    yield f"{entry.frames} frames of {entry.name}:\n"
+    yield table(["codec", "setting", *RATE, *DEPTH], cells)
+
+
+def _rows(run: RunResult, sequence: str) -> list[Row]:
+    rows = [{str(k): v for k, v in row.items()} for row in run.wide.to_dict("records")]
+    return [row for row in rows if row["sequence"] == sequence]
 
 
 def paths(run: RunResult) -> Iterator[str]:
