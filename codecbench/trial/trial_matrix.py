@@ -31,7 +31,7 @@ _USUAL: Final = ("jpeg:1..95", "h264:crf=51..15", "webp:0..95", "jpeg2000:ratio=
 """Default codecs, each from coarse to fine. The last ones are left out first if time is short."""
 _USUAL_16_BITS: Final = ("jpegxl:distance=0", "png", "jpeg2000:ratio=100..2")
 _USUAL_DEPTH: Final = (
-    "rvl", "png", "jpegxl:distance=0,effort=1|3", "lerc:max_error=64..0", "zstd", "ffv1", "hevc:crf=40..0",
+    "rvl", "png", "jpegxl:distance=0,effort=1|2|4", "lerc:max_error=64..0", "zstd", "ffv1", "hevc:crf=40..0",
 )  # fmt: skip
 _STEPS: Final = {False: 15, True: 7}
 """Steps of a range; True: if each needs several runs. One less than a power of 2, as bisection halves them."""

@@ -259,10 +259,13 @@ def _levels(run: RunResult, column: Column) -> dict[Key, Level]:
     series = {row: _series(results, column) for row, results in rows.items()}
     raw = {row[0]: values for row, (values, _) in series.items() if row[1] in run.schema.baselines}
     objections = {sequence: _objection(run, column, sequence) for sequence in {row[0] for row in rows}}
-    levels = {}
+    levels, wanted = {}, (column.evaluator, column.metric.shown_with)
+    partner = next((c for c in run.columns.values() if c.is_usual and (c.evaluator, c.metric.name) == wanted), None)
     for row, (values, over_frames) in series.items():
         level = _level(column, values, raw.get(row[0]), over_frames)
         if level is not None:
+            if partner is not None:
+                level = replace(level, beside=(partner, float(np.nanmean(_series(rows[row], partner)[0]))))
             why = objections[row[0]]
             level = replace(level, margin=_NO_MARGIN, why=why) if why else level
             levels[row] = replace(level, point=run.curves[row[1:]].point, rate=run.rates.get(row, math.nan))
@@ -325,5 +328,6 @@ def _average(levels: list[Level]) -> Level:
         value=float(np.mean([level.value for level in levels])),
         bound=float(np.mean([level.bound for level in levels])),
         margin=combine([level.margin for level in levels]),
+        beside=levels[0].beside and (levels[0].beside[0], float(np.mean([lv.beside[1] for lv in levels if lv.beside]))),
         why=next((level.why for level in levels if level.why), ""),
     )

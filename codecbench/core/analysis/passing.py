@@ -83,10 +83,20 @@ class Level:
     """The distance from the bound, positive on the right side."""
     why: str = ""
     """Why it cannot be judged; empty if it can."""
+    beside: tuple[Column, float] | None = None
+    """The column that is shown with this one, and its mean."""
 
     @property
     def label(self) -> str:
         return self.column.label
+
+    @property
+    def beside_words(self) -> str:
+        """` (mean error 2.13 mm)`; empty without such a column."""
+        if self.beside is None:
+            return ""
+        column, value = self.beside
+        return f" ({column.label} {column.factor * value:.3g} {column.unit})"
 
     @property
     def verdict(self) -> Passing:
@@ -101,7 +111,7 @@ class Level:
         unit = "" if self.column.unit in ("", "1") else f" {self.column.unit}"
         few = "" if self.reach < math.inf else ", too few samples for an interval"
         sure = f" ± {self.reach:.2g}" if 0.0 < self.reach < math.inf else ""
-        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}, {self.requirement} required"
+        return f"{self.column.factor * self.value:.3g}{unit}{sure}{few}{self.beside_words}, {self.requirement} required"
 
     @property
     def reach(self) -> float:

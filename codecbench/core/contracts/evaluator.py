@@ -201,7 +201,7 @@ class Evaluator(Configured[P]):
         super().__init_subclass__(**options)
         names = [metric.name for metric in getattr(cls, "metrics", ())]
         references = [(f"metric {metric.name!r}", other) for metric in getattr(cls, "metrics", ())
-                      for other in (metric.confirmed_by, metric.in_units_of) if other]  # fmt: skip
+                      for other in (metric.confirmed_by, metric.in_units_of, metric.shown_with) if other]  # fmt: skip
         references += [(f"view {view.title!r}", name) for view in cls.views for name in view.metrics]
         for where, name in references:
             if name not in names:

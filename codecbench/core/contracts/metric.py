@@ -64,6 +64,8 @@ class Metric:
     """Another metric of the evaluator that must move the same way before a change is claimed."""
     in_units_of: str = ""
     """Another metric, timed beside this one; their ratio compares two runs whatever the machine's speed."""
+    shown_with: str = ""
+    """Another metric of the evaluator, shown beside each value that is judged by this one."""
     caveat: str = ""
     """What readers must know beside every value; printed below the tables that show the metric."""
     quantity: Quantity = ""

@@ -116,12 +116,12 @@ def _cell(part: Standing | Level) -> tuple[str, str]:
 
 
 def _value_words(part: Level) -> str:
-    """`0.914 ± 0.008`, both with equally many digits after the point."""
+    """`0.914 ± 0.008`, both with equally many digits after the point, and what is shown beside them."""
     value = padded_digits(part.column.factor * part.value)
     if not 0.0 < part.reach < math.inf:
-        return value
+        return value + part.beside_words
     reach = f"{part.reach:.{len(value.partition('.')[2])}f}"
-    return f"{value} ± {reach if float(reach) else f'{part.reach:.1g}'}"
+    return f"{value} ± {reach if float(reach) else f'{part.reach:.1g}'}{part.beside_words}"
 
 
 def answer_tables(run: RunResult) -> list[Verdict]:

@@ -91,8 +91,7 @@ class ScaledSequence(AdaptedSequence):
     def read(self, index: int) -> Frame:
         frame = self._source.read(index)
         size = self._scaled_size(frame.image.shape[1::-1])
-        scaled = scaled_image(frame.image, size) if self.depth is None else _nearest(frame.image, size)
-        return Frame(frame.index, frame.timestamp_s, scaled)
+        return Frame(frame.index, frame.timestamp_s, scaled_image(frame.image, size, nearest=self.depth is not None))
 
     def _scaled_size(self, size: tuple[int, ...]) -> tuple[int, int]:
         """Width and height that frames of `size` are scaled to."""
@@ -105,19 +104,14 @@ class ScaledSequence(AdaptedSequence):
         return width, height
 
 
-def scaled_image(image: Image, size: tuple[int, int]) -> Image:
-    """Scale an image to another width and height: means over areas if it shrinks, bicubic if it grows."""
-    interpolation = cv2.INTER_AREA if size[0] < image.shape[1] else cv2.INTER_CUBIC
+def scaled_image(image: Image, size: tuple[int, int], *, nearest: bool = False) -> Image:
+    """Scale an image to another width and height: means over areas if it shrinks, bicubic if it grows.
+
+    nearest: each pixel is the one at the nearest place.
+    """
+    smooth = cv2.INTER_AREA if size[0] < image.shape[1] else cv2.INTER_CUBIC
+    interpolation = cv2.INTER_NEAREST_EXACT if nearest else smooth
     return np.asarray(cv2.resize(image, size, interpolation=interpolation), dtype=image.dtype)
-
-
-def _nearest(image: Image, size: tuple[int, int]) -> Image:
-    """The pixels of an image whose centers are nearest to those of one of another size."""
-    rows, columns = (
-        ((np.arange(count) + 0.5) * sides / count).astype(int)
-        for count, sides in zip(size[::-1], image.shape, strict=True)
-    )
-    return np.ascontiguousarray(image[np.ix_(rows, columns)])
 
 
 def scaled_camera(camera: Camera, size: tuple[int, int]) -> Camera:

@@ -57,22 +57,13 @@ def frame_size(file: Path, number: int) -> tuple[int, int]:
     return width, height
 
 
-def _header_size(file: Path) -> tuple[int, int] | None:
-    """Width and height from a file's header, without decoding it; None if the header cannot be read."""
+def image_header(file: Path) -> tuple[tuple[int, int], str]:
+    """Width and height, and Pillow's mode, without decoding the file; (0, 0) if its header cannot be read."""
     try:
         with catch_warnings(action="ignore"), PillowImage.open(file) as header_image:
-            return header_image.size
+            return header_image.size, header_image.mode
     except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError):
-        return None
-
-
-def has_16_bits(file: Path) -> bool:
-    """Whether the header of an image file declares gray samples of 16 bits."""
-    try:
-        with catch_warnings(action="ignore"), PillowImage.open(file) as header_image:
-            return header_image.mode.startswith("I;16")
-    except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError):
-        return False
+        return (0, 0), ""
 
 
 def _rgb_from_stored(stored: Any) -> Image:
@@ -166,7 +157,7 @@ class FileSequence(FrameSequence):
         origin = self._content.origin
         if not self._content.sizes_differ:
             return origin
-        sizes = sorted({size for file in self._content.files if (size := _header_size(file)) is not None})
+        sizes = sorted({image_header(file)[0] for file in self._content.files} - {(0, 0)})
         return replace(origin, sizes=tuple(sizes)) if len(sizes) > 1 else origin
 
     def read(self, index: int) -> Frame:

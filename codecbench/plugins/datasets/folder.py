@@ -11,7 +11,7 @@ from pydantic import Field
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Dataset, Depth, FrameSequence, Origin
-from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size, has_16_bits
+from codecbench.plugins.datasets.files import EXTENSIONS, Content, FileSequence, frame_size, image_header
 from codecbench.plugins.datasets.selection import DepthParams, FolderSelection, GivenCameraParams
 
 
@@ -38,7 +38,8 @@ class Folder(Dataset[FolderParams]):
         if not images:
             return None
         called_depth = "depth" in path.resolve().name.lower() or "depth" in images[0].name.lower()
-        return {"path": str(path), **({"depth_unit_m": 0.001} if called_depth and has_16_bits(images[0]) else {})}
+        is_depth = called_depth and image_header(images[0])[1].startswith("I;16")
+        return {"path": str(path), **({"depth_unit_m": 0.001} if is_depth else {})}
 
     def open(self) -> FrameSequence:
         params = self.params

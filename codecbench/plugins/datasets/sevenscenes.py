@@ -50,12 +50,12 @@ class SevenScenes(Dataset[SevenScenesParams]):
         params = self.params
         folder = params.folder("frame-000000.color.png and the others")
         is_depth = params.stream == "depth"
-        pictures = sorted(folder.glob(f"frame-*.{params.stream}.png"))
+        pictures = sorted(folder.glob(f"frame-{'[0-9]' * 6}.{params.stream}.png"))
         if not pictures:
             raise DatasetError(f"{folder}: contains no frame-*.{params.stream}.png; set `path` to a folder like seq-01")
         chosen = params.indices(len(pictures), str(folder))
         files = tuple(pictures[index] for index in chosen)
-        times_s = np.array([_number(file) for file in pictures]) / _RATE_HZ
+        times_s = np.array([int(file.name[6:12]) for file in pictures]) / _RATE_HZ
         known = params.given_camera(lambda: frame_size(files[0], chosen[0]))
         if is_depth and known.camera is None:
             known = KnownCamera(_DEPTH_CAMERA, "the publisher")
@@ -79,13 +79,6 @@ class SevenScenes(Dataset[SevenScenesParams]):
             origin=Origin(f"7-Scenes, {params.stream}", known.source),
         )
         return params.as_asked(FileSequence(content))
-
-
-def _number(file: Path) -> int:
-    digits = file.name.removeprefix("frame-").split(".")[0]
-    if not digits.isascii() or not digits.isdigit():
-        raise DatasetError(f"{file}: has no number between `frame-` and the first dot; rename it or move it away")
-    return int(digits)
 
 
 def _pose(picture: Path, stream: str) -> Floats:

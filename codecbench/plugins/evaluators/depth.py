@@ -77,6 +77,7 @@ class DepthEvaluator(SequenceEvaluator[DepthParams]):
         _metric(
             "noise_ratio", "1", "RMS of the error over noise_per_m times the squared distance; gross errors are 10",
             "error over sensor noise", "error /\nnoise", enough=1.0, role="task",
+            shown_with="mean_error_mm",
         ),
         _metric("mean_error_mm", "mm", "mean absolute error", "mean error", "error mm"),
         _metric("median_error_mm", "mm", "median absolute error", "median error"),

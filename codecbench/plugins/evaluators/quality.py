@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import ClassVar, Final
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from codecbench.plugins.evaluators.fidelity import (
     psnr_db,
     similarity,
 )
-
-_STEPS_OF_16_BITS: Final = 65535 / PEAK
 
 
 class Quality(SequenceEvaluator[NoParams]):
@@ -116,7 +114,7 @@ def _fidelity(coded: CodedFrame) -> Iterator[tuple[str, float, str | None]]:
     if channel_count(original) == 3:
         yield "psnr_rgb_db", psnr_db(original, decoded), None
     if gray.dtype == np.uint16:  # SSIM depends on values only as shares of the peak
-        gray, decoded_gray = (np.ascontiguousarray(samples / _STEPS_OF_16_BITS) for samples in (gray, decoded_gray))
+        gray, decoded_gray = (np.ascontiguousarray(samples * (PEAK / 65535)) for samples in (gray, decoded_gray))
     finest = similarity(gray, decoded_gray)
     yield "ssim_matlab", finest.full, None
     yield "ssim_wang", finest.inner, _reason_too_small(finest.inner, gray.shape, WINDOW_SIDE)

@@ -60,13 +60,9 @@ def _decode_compressed(message: Any, depth: Depth, where: str) -> Image:
         raise DatasetError(
             f"{where}: {len(content)} bytes of {message.format[:60]!r} are not a whole depth image of 16 bits"
         )
-    if not _is_inverse(message):
+    if not message.format.strip().startswith("32FC1"):
         return np.asarray(pixels, np.uint16)
     return DepthScale("inverse", 16, depth.unknown, depth.unit_m, step, offset, 0.0).pixels(pixels)
-
-
-def _is_inverse(message: Any) -> bool:
-    return bool(message.format.strip().startswith("32FC1"))
 
 
 def depth_notes(message: Any, depth: Depth) -> list[str]:
@@ -76,7 +72,7 @@ def depth_notes(message: Any, depth: Depth) -> list[str]:
         is_exact = message.encoding != "32FC1"
         return [f"pixels are distances in {step}" if is_exact else f"distances in meters (32FC1) are rounded to {step}"]
     kind = message.format.strip()[:60]
-    if not _is_inverse(message):
+    if not message.format.strip().startswith("32FC1"):
         return [f"pixels are distances in {step}, recorded as {kind}, which is lossless"]
     return [
         f"THE FRAMES ARE ALREADY CODED: the topic has inverse depth ({kind}), rounded to {step}; `raw` includes its "
