@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -231,3 +233,8 @@ def test_a_level_that_people_see_with_the_other_sign_asks_for_the_other_side() -
     assert level.verdict == "passes"
     assert level.reach == pytest.approx(0.5 * scipy.stats.t.ppf(0.975, 3))
     assert str(level) == "-95 % ± 1.6, ≤ -90 % required"
+    error = Column(
+        column.evaluator, Metric("error_m", "m", "lower", "", display_unit="mm", display_factor=1e3), "", "mean"
+    )
+    beside = replace(level, beside=(error, 0.00213))
+    assert str(beside) == "-95 % ± 1.6 (error 2.13 mm), ≤ -90 % required"
