@@ -56,10 +56,8 @@ def codecbench_evaluators():
 MATRIX = """
 version: 1
 name: deep
-sequences:
-  - {use: ramp, params: {frames: 2, bits: 16, unit_m: 0.001}}
-  - {use: synthetic, name: room, params: {stream: depth, frames: 2, width: 64, height: 48}}
-codecs: [raw, rvl, {use: png, params: {quantizer: inverse}}, halves, jpeg]
+sequences: [{use: ramp, params: {frames: 2, bits: 16, unit_m: 0.001}}]
+codecs: [rvl, halves, jpeg]
 evaluators: [quality, depth, farthest, features]
 run: {workers: 1}
 """
@@ -72,10 +70,9 @@ def test_depth_is_run_judged_and_shown(tmp_path: Path) -> None:
     done = place.call("run", "deep.yaml")
     assert done.status == 0, done.output
     assert "halves: keeps 15 bits." in done.output
-    assert "png: depth is quantized (inverse, 16 bits, 0.152 to 10 m)." in done.output
     assert "(mean error 0 mm), ≤ 1 required" in done.output
     assert "codec jpeg accepts gray or color frames; those of ramp are 16-bit gray" in done.output
-    assert "evaluator features reads 8-bit frames; those of room are 16-bit gray" in done.output
+    assert "evaluator features reads 8-bit frames; those of ramp are 16-bit gray" in done.output
 
     table = place.call("table", "runs/deep", "--all", "--format", "json", "--out", "table.json")
     assert table.status == 0, table.output
@@ -85,8 +82,7 @@ def test_depth_is_run_judged_and_shown(tmp_path: Path) -> None:
     assert ramp["depth.worst_error_mm.max"] == 1.0
     assert ramp["farthest.farthest.mean"] == 120.0
     assert ramp["quality.psnr_gray_db.mean"] is None
-    assert rows["room", "rvl"]["depth.noise_ratio.mean"] == 0.0
-    assert 0.0 < rows["room", "png"]["depth.noise_ratio.mean"] < 0.2
+    assert rows["ramp", "rvl"]["depth.noise_ratio.mean"] == 0.0
     report = place.call("report", "runs/deep")
     assert report.status == 0, report.output
-    assert (tmp_path / "runs" / "deep" / "report" / "report.html").read_text().count("data:image/webp;base64,") > 6
+    assert (tmp_path / "runs" / "deep" / "report" / "report.html").read_text().count("data:image/webp;base64,") >= 6
