@@ -47,7 +47,7 @@ class Folder(Dataset[FolderParams]):
         files = image_files(folder)
         chosen = params.indices(len(files), str(folder))
         known = params.given_camera(lambda: frame_size(files[chosen[0]], chosen[0]))
-        depth = None if params.depth_unit_m is None else Depth(params.depth_unit_m, params.depth_unknown)
+        depth = None if params.depth_unit_m is None else params.meaning(Depth(params.depth_unit_m))
         depth_notes = () if depth is None else (f"its pixels are taken as distances in steps of {depth.unit_m:g} m",)
         content = Content(
             name=folder.resolve().name,

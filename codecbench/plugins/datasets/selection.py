@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import Image, channel_count, gray_from_image
 from codecbench.core.contracts.params import Params, PathParam
-from codecbench.core.contracts.sequence import Camera, FrameSequence
+from codecbench.core.contracts.sequence import Camera, Depth, FrameSequence
 from codecbench.plugins.datasets import catalog
 from codecbench.plugins.datasets.adapted import MiscalibratedSequence, ScaledSequence
 from codecbench.plugins.datasets.calibration import camera_from_file, camera_from_view
@@ -178,8 +178,14 @@ class DepthParams(Params):
         float | None, Field(gt=0.0, le=1.0, description="meters of a step of depth pictures, such as 0.001")
     ] = None
     depth_unknown: Annotated[
-        int, Field(ge=0, le=65535, description="value of depth pixels whose distance is unknown")
-    ] = 0
+        int | None,
+        Field(ge=0, le=65535, description="value of depth pixels without distance; default: as recorded, or 0"),
+    ] = None
+
+    def meaning(self, recorded: Depth) -> Depth:
+        """What depth pixels mean: as recorded, but for what was given."""
+        unknown = recorded.unknown if self.depth_unknown is None else self.depth_unknown
+        return Depth(self.depth_unit_m or recorded.unit_m, unknown)
 
 
 class FolderSelection(Selection):

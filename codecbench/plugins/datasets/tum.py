@@ -56,7 +56,7 @@ class TumParams(FolderSelection, GivenCameraParams, DepthParams):
     @model_validator(mode="after")
     def _camera_once(self) -> Self:
         self.check_one_camera_source(self.camera)
-        if self.stream == "color" and (self.depth_unit_m is not None or self.depth_unknown):
+        if self.stream == "color" and (self.depth_unit_m, self.depth_unknown) != (None, None):
             raise ValueError("`depth_unit_m` and `depth_unknown` are for `stream: depth`")
         return self
 
@@ -118,7 +118,7 @@ class Tum(Dataset[TumParams]):
             camera=known.camera,
             uncalibrated=uncalibrated,
             ground_truth=truth,
-            depth=_meaning(params, depth_camera) if is_depth else None,
+            depth=params.meaning(Depth(_UNIT_M) if depth_camera is None else depth_camera.depth) if is_depth else None,
             color=params.color,
             notes=(*params.subset_notes(len(rows)), *pair_notes, *known.notes),
             origin=Origin("TUM RGB-D folder" + (", depth" if is_depth else ""), known.source),
@@ -147,11 +147,6 @@ def _depth_camera(params: TumParams, folder: Path) -> DepthCamera | None:
     """The depth camera of the calibration file; None if it is the color camera."""
     file = folder / "calib.yaml" if params.calibration is None else params.calibration
     return depth_camera_from_file(file) if params.camera in ("auto", "none") and file.is_file() else None
-
-
-def _meaning(params: TumParams, depth_camera: DepthCamera | None) -> Depth:
-    recorded = Depth(_UNIT_M, params.depth_unknown) if depth_camera is None else depth_camera.depth
-    return recorded if params.depth_unit_m is None else Depth(params.depth_unit_m, params.depth_unknown)
 
 
 def read_tum_trajectory(file: Path) -> Trajectory:

@@ -61,7 +61,8 @@ def test_a_calibration_file_describes_a_depth_camera_of_its_own(tmp_path):
     assert (sequence.camera.fx, sequence.camera.cy, sequence.depth) == (60.0, 15.0, Depth(0.001, 65535))
     assert sequence.ground_truth.positions_world.tolist() == [[0.5, 0, 0], [1.5, 0, 0]]
     other = Tum.create(path=folder, stream="depth", depth_unit_m=0.01).open()
-    assert other.depth == Depth(0.01)
+    assert other.depth == Depth(0.01, 65535)
+    assert Tum.create(path=folder, stream="depth", depth_unknown=7).open().depth == Depth(0.001, 7)
     assert other.fingerprint != sequence.fingerprint
     (folder / "calib.yaml").write_text(moved.replace("unknown: 65535", "unknown: -1"))
     with pytest.raises(DatasetError, match=r"calib\.yaml:15: `unknown` is -1"):

@@ -121,7 +121,7 @@ class BagSequence(FrameSequence):
         with workaround(skip=[self._chosen[0]]):
             first = self._recording.message(self._topic, int(self._numbers[0]))
         if params.samples == "depth" or (params.samples == "auto" and is_depth(first, self._topic.name)):
-            self.depth = Depth(params.depth_unit_m or _USUAL_UNIT_M, params.depth_unknown)
+            self.depth = params.meaning(Depth(_USUAL_UNIT_M))
         image = self._read_image(0)
         self.channels, self.bits = layout_of(image)
         self._size = image.shape[1::-1]
