@@ -264,8 +264,9 @@ def _levels(run: RunResult, column: Column) -> dict[Key, Level]:
     for row, (values, over_frames) in series.items():
         level = _level(column, values, raw.get(row[0]), over_frames)
         if level is not None:
-            if partner is not None:
-                level = replace(level, beside=(partner, float(np.nanmean(_series(rows[row], partner)[0]))))
+            shown = np.empty(0) if partner is None else _series(rows[row], partner)[0]
+            if partner is not None and not np.isnan(shown).all():
+                level = replace(level, beside=(partner, float(np.nanmean(shown))))
             why = objections[row[0]]
             level = replace(level, margin=_NO_MARGIN, why=why) if why else level
             levels[row] = replace(level, point=run.curves[row[1:]].point, rate=run.rates.get(row, math.nan))

@@ -395,7 +395,7 @@ def _wrapped_samples(decoded: Any, original: Any, white: int) -> Any:
 
 def bad_images_are_refused(codec_class: CodecClass, params: Params, films: Sequence[Film]) -> None:
     """Push bad images as the first frame of a session; for inter-frame codecs also after one of another shape."""
-    for name, pictures in _bad_images(codec_class, films[0].pictures[0]):
+    for name, pictures in _bad_images(codec_class(params), films[0].pictures[0]):
         session = codec_class(params).open_encoder(FRAME_RATE_HZ)
         for picture in pictures[:-1]:
             session.push(picture)
@@ -408,7 +408,7 @@ def bad_images_are_refused(codec_class: CodecClass, params: Params, films: Seque
         raise ConformanceFailure(f"push({name})", f"{len(packets)} packets", "ImageError")
 
 
-def _bad_images(codec_class: CodecClass, image: Image) -> Iterator[tuple[str, list[Any]]]:
+def _bad_images(codec: AnyCodec[Any], image: Image) -> Iterator[tuple[str, list[Any]]]:
     """Yield names and frames to push, of which the last must be refused. image: a valid one."""
     yield "16-bit color", [np.zeros((8, 8, 3), np.uint16)]
     yield "float64", [np.zeros((8, 8))]
@@ -419,12 +419,12 @@ def _bad_images(codec_class: CodecClass, image: Image) -> Iterator[tuple[str, li
     yield "no rows", [np.zeros((0, 8), np.uint8)]
     yield "no columns", [np.zeros((8, 0, 3), np.uint8)]
     yield "a list", [[[0, 1], [2, 3]]]
-    taken = codec_class.capabilities.layouts
+    taken = codec.capabilities.layouts
     for layout in LAYOUTS:
         if layout not in taken:
             shape = (8, 8) if layout.channels == 1 else (8, 8, 3)
             yield f"{layout}, not in capabilities", [np.zeros(shape, f"uint{layout.bits}")]
-    if codec_class.carries == "pictures" and not codec_class.stateless:
+    if codec.carries == "pictures" and not codec.stateless:
         yield "another size", [image, np.ascontiguousarray(image[:-2])]
         gray_or_color = image[..., None].repeat(3, axis=2) if image.ndim == 2 else np.ascontiguousarray(image[..., 0])
         yield "another layout", [image, gray_or_color]

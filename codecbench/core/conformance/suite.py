@@ -98,9 +98,9 @@ def films_of(shape: Shape, layout: Layout) -> list[Film]:
 def run_checks(
     codec_class: type[AnyCodec[Any]], params: Params, checks: Sequence[Check] | None = None
 ) -> list[CheckResult]:
-    """Run all checks for this shape of codec, or the given ones, on every layout that the codec declares."""
+    """Run all checks for this shape of codec, or the given ones, on every layout that this setting takes."""
     selection = checks_of(shape_of(codec_class)) if checks is None else checks
-    layouts = codec_class.capabilities.layouts
+    layouts = codec_class(params).capabilities.layouts
     return [run_check(check, layout, codec_class, params) for check in selection for layout in layouts]
 
 
@@ -130,7 +130,7 @@ class Subject:
     libraries: dict[str, str]
     """Versions by name."""
     layouts: tuple[Layout, ...]
-    """Layouts that the codec declares."""
+    """Layouts that this setting takes."""
     shape: Shape
     """What it codes, which selects the checks."""
 
@@ -241,18 +241,11 @@ def _coded_pictures(subject: Subject, earlier: list[Entry]) -> list[tuple[Entry,
 
 def _subject(codec_class: Any, setting: dict[str, Any]) -> Subject:
     params = codec_class.params_type.model_validate(setting)
-    libraries = {str(name): str(version) for name, version in codec_class(params).libraries().items()}
+    codec = codec_class(params)
+    libraries = {str(name): str(version) for name, version in codec.libraries().items()}
     dumped = params.model_dump(mode="json")
-    layouts = tuple(Layout(*layout) for layout in codec_class.capabilities.layouts)
-    return Subject(
-        str(codec_class.name),
-        str(codec_class.version),
-        setting,
-        dumped,
-        libraries,
-        layouts,
-        shape_of(codec_class),
-    )
+    layouts = tuple(Layout(*layout) for layout in codec.capabilities.layouts)
+    return Subject(str(codec.name), str(codec.version), setting, dumped, libraries, layouts, shape_of(codec_class))
 
 
 def _result(subject: Subject, check_name: str, layout: Layout) -> CheckResult:

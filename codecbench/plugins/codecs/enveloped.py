@@ -96,11 +96,8 @@ class EnvelopedCodec(Codec[P]):
 
     def _other_recipes(self, scene: Scene) -> tuple[Recipe, ...]:
         """Recipes of stacks other than imagecodecs."""
-        return (
-            Recipe(
-                f"{GSTREAMER} and {FFMPEG}", "sh", "", f"Neither has a known element that codes {self.name} this way."
-            ),
-        )
+        note = f"Neither has a known element that codes {self.name} this way."
+        return (Recipe(f"{GSTREAMER} and {FFMPEG}", "sh", "", note),)
 
     def encode(self, image: Image, *, trace: Trace = NULL_TRACE) -> bytes:
         image = check_image(image, self.capabilities.channels, self.capabilities.bits)

@@ -71,9 +71,7 @@ class JpegLs(EnvelopedCodec[JpegLsParams]):
 
     def _arguments(self, bits: int) -> dict[str, Any]:
         if self.params.near > _MAX_NEAR[bits]:
-            raise Unsupported(
-                f"jpegls: near {self.params.near} exceeds {_MAX_NEAR[bits]}, the most of {bits}-bit samples"
-            )
+            raise Unsupported(f"jpegls: near {self.params.near} exceeds {_MAX_NEAR[bits]}, the most of {bits} bits")
         offered = signature(self._library.jpegls_encode).parameters
         return {"level": self.params.near} | ({"spiff": True} if "spiff" in offered else {})  # older releases always do
 

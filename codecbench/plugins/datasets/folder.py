@@ -37,8 +37,9 @@ class Folder(Dataset[FolderParams]):
         images = [file for file in path.iterdir() if file.suffix.lower() in EXTENSIONS] if path.is_dir() else []
         if not images:
             return None
-        called_depth = "depth" in path.resolve().name.lower() or "depth" in images[0].name.lower()
-        is_depth = called_depth and image_header(images[0])[1].startswith("I;16")
+        first = min(images, key=natural_key)
+        called_depth = "depth" in path.resolve().name.lower() or "depth" in first.name.lower()
+        is_depth = called_depth and image_header(first)[1].startswith("I;16")
         return {"path": str(path), **({"depth_unit_m": 0.001} if is_depth else {})}
 
     def open(self) -> FrameSequence:

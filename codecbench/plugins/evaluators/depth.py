@@ -48,15 +48,9 @@ class DepthParams(Params):
 
 def _metric(name: str, unit: str, summary: str, label: str, column_header: str = "", **options: Any) -> Metric:
     """A quality that is better when lower; with a column header it is a headline."""
-    options = {
-        "role": "quality",
-        "headline": bool(column_header),
-        "label": label,
-        "column_header": column_header,
-        **options,
-    }
     scale: Scale = "linear" if unit in ("%", "deg") else "log"
-    return Metric(name, unit, "lower", summary, scale=scale, **options)
+    options = {"role": "quality", "label": label, "column_header": column_header} | options
+    return Metric(name, unit, "lower", summary, scale=scale, headline=bool(column_header), **options)
 
 
 class DepthEvaluator(SequenceEvaluator[DepthParams]):
@@ -134,7 +128,7 @@ class DepthEvaluator(SequenceEvaluator[DepthParams]):
     def _errors(self, frame: CodedFrame, unknown: int, edges: Edges, unit_m: float) -> dict[str, float]:
         """Errors of the pixels with a distance in both frames."""
         counts, ranges, squares, flying, changed = _compare(
-            frame.original.image, frame.decoded, unknown, *edges, self.params.edge_jump / 2, unit_m,
+            frame.original.image, frame.decoded, unknown, edges, self.params.edge_jump / 2, unit_m,
             self.params.noise_per_m,
         )  # fmt: skip
         steps, of_all = np.arange(counts.shape[1]), counts.sum(axis=0)
@@ -189,15 +183,7 @@ def _ratio(total: Any, count: Any) -> float:
 
 @compiled
 def _compare(
-    original: Any,
-    decoded: Any,
-    unknown: int,
-    at_edge: Any,
-    near: Any,
-    far: Any,
-    tolerance: float,
-    unit_m: float,
-    noise_per_m: float,
+    original: Any, decoded: Any, unknown: int, edges: Edges, tolerance: float, unit_m: float, noise_per_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], float, int, int]:
     """Sums over the pixels of two (H, W) uint16 frames with a distance in both.
 
@@ -206,6 +192,7 @@ def _compare(
     with that for each pixel that has a distance in one frame only; number of flying pixels, which differ from every
     distance around them by more than `tolerance` times the smallest one; and number of pixels with a distance in one.
     """
+    at_edge, near, far = edges
     counts, ranges = np.zeros((2, 65536), np.int64), np.zeros((len(RANGES_M) + 1, 2))
     squares, flying, changed = 0.0, 0, 0
     for row in range(original.shape[0]):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.stats
-from measured_runs import cell_result, run_of
+from measured_runs import METRICS, cell_result, run_of
 from told import numbers
 
 from codecbench.core.analysis.evidence import Evidence
@@ -190,6 +190,17 @@ def test_a_setting_passes_by_a_task_if_the_interval_of_its_mean_is_below_twice_t
         assert (test.value, test.bound) == pytest.approx((np.mean(values), 2.0))
         assert test.margin.reach(0.95) == pytest.approx((high - low) / 2.0)
     assert found.after_words() == "q=0.5 is inconclusive (2.02 m ± 0.35, ≤ 2 m required)"
+
+
+def test_what_a_setting_did_not_measure_is_not_shown_beside_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METRICS, "drift", replace(METRICS["drift"], shown_with="held"))
+    cells = [cell_result(codec, 1.0, "size", own={("bits", ""): [1.0]}) for codec in ("raw", "plain", "other")]
+    for codec in ("raw", "plain", "other"):
+        held = {} if codec == "other" else {("held", ""): [1.0]}
+        cells += [cell_result(codec, 1.0, "track", own={("drift", ""): [1.0], **held}, repeat=i) for i in range(4)]
+    run = run_of(*cells)
+    found = limits(run, [run.columns["track.drift.median"]])
+    assert ["held" in str(found["s", codec].settings[0]) for codec in ("plain", "other")] == [True, False]
 
 
 def test_a_setting_fails_over_all_sequences_that_fails_on_one() -> None:

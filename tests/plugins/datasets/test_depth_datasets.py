@@ -103,6 +103,14 @@ def test_scaled_depth_invents_no_distance(tmp_path):
     )
 
 
+def test_a_folder_of_several_kinds_is_recognized_by_its_first_file(tmp_path, monkeypatch):
+    write(tmp_path / "10_depth.png", depth_picture(0))
+    write(tmp_path / "9_color.png", np.zeros((ROWS, COLUMNS, 3), np.uint8))
+    for listed in (sorted(tmp_path.iterdir()), sorted(tmp_path.iterdir(), reverse=True)):
+        monkeypatch.setattr(Path, "iterdir", lambda path, listed=listed: iter(listed))
+        assert Folder.recognise(tmp_path) == {"path": str(tmp_path)}
+
+
 def test_sevenscenes_reads_a_sequence_as_published(tmp_path):
     folder = tmp_path / "chess" / "seq-01"
     for number in range(3):

@@ -51,6 +51,8 @@ class Encoder:
     intra_refresh: bool = False
     recovers: bool = False
     """Whether it marks recovery points of intra refresh."""
+    slices: int = 0
+    """Slices of a packet, each with a checksum; 0 for none."""
     looks_ahead: bool = True
     """Whether it can hold frames back to code them better."""
     bounds_any: bool = True
@@ -263,7 +265,7 @@ def _mjpeg_options(params: VideoParams) -> Options:
 
 
 def _ffv1_options(params: VideoParams) -> Options:
-    return {"level": "3", "slices": "4", "slicecrc": "1"}
+    return {"level": "3", "slices": str(params.traits.slices), "slicecrc": "1"}
 
 
 def _nvenc_options(params: VideoParams) -> Options:
@@ -310,7 +312,7 @@ ENCODERS: Final = {
         ),
         Encoder(
             "ffv1", "ffv1", _ffv1_options, {}, {}, (), ("gray", "yuv420p", "yuv444p", "rgb"), depth_bits=(10, 12, 16),
-            looks_ahead=False,
+            slices=4, looks_ahead=False,
         ),
         Encoder(
             "h264_nvenc", "h264", _nvenc_options, {"crf": (0, 51), "qp": (0, 51), "bitrate_kbps": _ANY_BITRATE},

@@ -1,4 +1,4 @@
-"""The header of ours in front of keyframe packets, and the recovery points of intra refresh.
+"""The header of ours in front of keyframe packets, recovery points of intra refresh, and checksums of FFV1.
 
 Little-endian: magic (4), flags (1): 1 low delay, 2 color, 4 frames of 16 bits; width (2), height (2), length of the
 decoder's own header (2); with 16 bits a `DepthScale`; that header. The rest of the packet, and every other packet, is
@@ -8,6 +8,7 @@ what the encoder wrote.
 from __future__ import annotations
 
 import struct
+import zlib
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -22,6 +23,8 @@ MAX_SIDE: Final = 0xFFFF
 _START_CODE: Final = b"\0\0\1"
 _SEI_UNIT: Final = 6
 _RECOVERY_POINT: Final = 6
+_SLICE_FOOTER: Final = 8
+_MIRRORED_BITS: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 @dataclass(frozen=True)
@@ -89,3 +92,20 @@ def _frames_from_message(message: bytes) -> int | None:
         return None
     frames = int(code, 2) - 1
     return frames if is_recovery(frames) else None
+
+
+def check_slices(data: bytes, slices: int) -> None:
+    """Raise BitstreamError if a packet of FFV1 is not so many slices with right checksums; FFmpeg decodes it anyway.
+
+    A slice ends with the size of what is before these 8 bytes (3), a status (1) and a CRC-32 (4), with which the CRC of
+    the slice is 0 (RFC 9043, 4.9). It begins with 0 and takes upper bits first; zlib's does so over mirrored bytes.
+    """
+    ends = [len(data)]
+    while ends[-1] > 0 and len(ends) <= slices:
+        footer = ends[-1] - _SLICE_FOOTER
+        ends.append(footer - int.from_bytes(data[max(footer, 0) : footer + 3]))
+    if ends[-1] != 0 or len(ends) != slices + 1:
+        raise BitstreamError(f"a packet of {len(data)} bytes does not consist of {slices} slices")
+    for start, end in zip(ends[1:], ends, strict=False):
+        if zlib.crc32(data[start:end].translate(_MIRRORED_BITS), 0xFFFFFFFF) != 0xFFFFFFFF:
+            raise BitstreamError(f"the checksum of bytes {start} to {end} of a packet is wrong")

@@ -22,13 +22,12 @@ from codecbench.plugins.codecs.video.color import (
     planes_from_image,
 )
 from codecbench.plugins.codecs.video.encoders import Encoder, VideoParams
-from codecbench.plugins.codecs.video.header import MAX_SIDE, Header, frames_to_recovery
+from codecbench.plugins.codecs.video.header import MAX_SIDE, Header, check_slices, frames_to_recovery
 from codecbench.plugins.codecs.video.library import decoding_errors, open_decoder, open_encoder, packet_for, video_frame
 
 
 class VideoEncoder(StreamEncoder):
-    """An encoding session. The encoder is opened for the first image; the others must have its shape
-    and bits.
+    """An encoding session. The encoder is opened for the first image; the others must have its shape and bits.
 
     An encoder that looks ahead in its own threads returns all packets at the end, so that sessions are reproducible.
 
@@ -127,6 +126,8 @@ class VideoDecoder(StreamDecoder):
         pictures = self._close_before(packet) if packet.starts and not self._is_intact else []
         try:
             data = self._payload(packet)
+            if self._encoder.slices:
+                check_slices(data, self._encoder.slices)
         except BitstreamError:
             self._give_up(packet.frame)
             raise

@@ -15,6 +15,7 @@ import av
 
 from codecbench import ImageError
 from codecbench.core.conformance.harness import decoded_of, packets_of
+from codecbench.core.conformance.suite import CHECKS, run_checks
 from codecbench.plugins.codecs.video import library
 from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
 from codecbench.plugins.codecs.video.header import Header
@@ -110,6 +111,8 @@ def test_hardware_encoders_take_eight_bits(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr("codecbench.plugins.codecs.video.codecs.open_encoder", lambda *arguments, **options: None)
     assert H264.create(encoder="h264_nvenc").capabilities.bits == (8,)
     assert H264.create().capabilities.bits == (8, 16)
+    results = run_checks(H264, H264.params_type(encoder="h264_nvenc"), CHECKS[:1])
+    assert [str(result.layout) for result in results] == ["gray", "color"]
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from codecbench.core.contracts.evaluator import SentPacket
 from codecbench.core.simulation.delivery import DeliveredFrames, deliver
 from codecbench.core.simulation.settings import LinkSettings
 from codecbench.plugins.codecs.video.codecs import H264, Av1, Ffv1, Hevc, Mjpeg, Vp9
+from codecbench.plugins.codecs.video.header import Header
 
 CODECS: list[Any] = [H264, Hevc, Av1, Vp9, Mjpeg, Ffv1]
 EVERY_CODEC = pytest.mark.parametrize("codec_class", CODECS, ids=lambda codec_class: codec_class.name)
@@ -158,6 +159,32 @@ def test_bytes_that_a_decoder_cannot_read_are_refused_and_the_next_start_is_whol
     assert [picture.frame for picture in pictures] == list(range(1, 8))
     assert [picture.state for picture in pictures[3:]] == ["whole"] * 4
     assert all(np.array_equal(left.image, right.image) for left, right in zip(pictures[3:], expected[4:], strict=True))
+
+
+@pytest.mark.parametrize("scale", [1, 257], ids=["8 bits", "16 bits"])
+def test_ffv1_refuses_each_damaged_or_missing_slice(scale: int) -> None:
+    """FFmpeg wrote the checksums, and its decoder decodes slices whose checksum is wrong."""
+    pictures = [
+        picture * np.array(scale, f"uint{8 if scale == 1 else 16}") for picture in gliding_pictures(2, 48, 64, 1)
+    ]
+    codec = Ffv1.create()
+    packets = packets_of(codec, pictures)
+    assert [picture.state for picture in decoded_of(codec, packets)] == ["whole"] * 2
+    for frame, packet in enumerate(packets):
+        sent = packet.data
+        header = len(sent) - len(Header.parse(sent, Ffv1.magic)[1]) if packet.starts else 0
+        damaged = [sent[:at] + bytes([sent[at] ^ 1 << at % 8]) + sent[at + 1 :] for at in range(header, len(sent))]
+        slices, end = [], len(sent)
+        while end > header:
+            slices.append(sent[end - 8 - int.from_bytes(sent[end - 8 : end - 5], "big") : end])
+            end -= len(slices[-1])
+        damaged += [sent.replace(one, b"") for one in slices]
+        for data in damaged:
+            decoder = codec.decoder()
+            for earlier in packets[:frame]:
+                decoder.push(earlier)
+            with pytest.raises(BitstreamError):
+                decoder.push(dataclasses.replace(packet, data=data))
 
 
 @EVERY_CODEC
