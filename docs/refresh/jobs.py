@@ -22,8 +22,9 @@ DATA: Final = os.environ.get("CODECBENCH_DATA", "")
 OFFICE: Final = f"{DATA}/fr3_office_715"
 CODECS: Final = tuple(
     ("codec", name)
-    for name in ("raw", "png", "jpeg", "jpeg_qf", "jpeg2000", "multilevel", "jpegxl", "jpegls", "htj2k", "webp", "avif")
-)
+    for name in ("raw", "png", "jpeg", "jpeg_qf", "jpeg2000", "multilevel", "jpegxl", "jpegls", "htj2k", "webp", "avif",
+                 "zstd", "lz4", "rvl", "lerc", "zfp")
+)  # fmt: skip
 SLAM: Final = (("slam_backend", "orb"),)
 FIRST: Final = (*((k, n) for k, n in CODECS if n in ("raw", "jpeg", "jpeg_qf", "jpeg2000", "multilevel")),
                 *(("evaluator", name) for name in ("quality", "features", "operations", "timing")))  # fmt: skip

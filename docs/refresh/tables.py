@@ -397,8 +397,11 @@ def coding_times(text: str) -> Iterator[str]:
             titles[codec] = f"`{codec}`, {setting}"
         way = benchmark["name"].partition("[")[0].removeprefix("test_")
         ms.setdefault(codec, {})[f"{picture} {way}"] = 1e3 * benchmark["stats"]["median"]
-    heads = [f"{picture} {way}" for picture in ("gray", "rgb") for way in ("encode", "decode")]
-    rows = [[titles.get(codec, f"`{codec}`"), *(round(each[h], 2) for h in heads)] for codec, each in ms.items()]
+    heads = [f"{picture} {way}" for picture in ("gray", "rgb", "depth") for way in ("encode", "decode")]
+    rows = [
+        [titles.get(codec, f"`{codec}`"), *(round(each[h], 2) if h in each else None for h in heads)]
+        for codec, each in ms.items()
+    ]
     yield table(["codec", *(f"{head} ms" for head in heads)], rows)
 
 

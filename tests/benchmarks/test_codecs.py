@@ -1,7 +1,8 @@
-"""Time of every installed codec on one 640x480 picture. Run with `pytest tests/benchmarks`."""
+"""Time of every installed codec on 640x480 pictures of each layout it takes. Run with `pytest tests/benchmarks`."""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import cv2
@@ -9,14 +10,26 @@ import numpy as np
 import pytest
 import skimage.data
 
-from codecbench import Codec
+from codecbench import Codec, Image
+from codecbench.core.contracts.image import layout_of
 from codecbench.core.engine.plugins.registry import Plugin, installed
+from codecbench.plugins.datasets.synthetic.dataset import Synthetic
 
 
-@pytest.fixture(scope="module", params=["gray", "rgb"])
-def picture(request: pytest.FixtureRequest) -> np.ndarray:
+@cache
+def pictures() -> dict[str, Image]:
+    """A photograph in color and gray, and what a depth sensor sees of a room."""
     image = cv2.resize(skimage.data.astronaut(), (640, 480), interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(image if request.param == "rgb" else image[..., 1])
+    depth = Synthetic.create(stream="depth", frames=1).open().read(0).image
+    return {"gray": np.ascontiguousarray(image[..., 1]), "rgb": np.ascontiguousarray(image), "depth": depth}
+
+
+@pytest.fixture(scope="module", params=["gray", "rgb", "depth"])
+def picture(request: pytest.FixtureRequest, codec: Any) -> Image:
+    image = pictures()[request.param]
+    if layout_of(image) not in codec.capabilities.layouts:
+        pytest.skip(f"{codec.name} does not take {layout_of(image)}")
+    return image
 
 
 def codes_pictures(plugin: Plugin) -> bool:
