@@ -78,11 +78,12 @@ class TrialMatrix:
 
 
 def suited_aim(recording: Recording) -> Purpose:
-    """Return `depth` for depth, `tracking` if SLAM can run on the recording, else `quality`."""
+    """Return `depth` for depth, `speed` for other 16-bit frames, `tracking` if SLAM can run, else `quality`."""
     if recording.depth_unit_m is not None:
         return "depth"
-    tracks = recording.has_camera and recording.bits == 8 and recording.frames >= _FEWEST["tracking"]
-    return "tracking" if tracks else "quality"
+    if recording.bits != 8:
+        return "speed"
+    return "tracking" if recording.has_camera and recording.frames >= _FEWEST["tracking"] else "quality"
 
 
 def trial_matrix(
@@ -106,8 +107,8 @@ def trial_matrix(
     if (aim == "depth") != (recording.depth_unit_m is not None):
         is_not = "is not depth" if aim == "depth" else "is depth: PSNR, features and SLAM say nothing of it"
         raise Unsupported(f"--for {aim}: this recording {is_not}; use --for {suited_aim(recording)}")
-    if aim == "tracking" and recording.bits != 8:
-        raise Unsupported("--for tracking: SLAM reads 8-bit frames, and these have 16; use --for quality")
+    if aim in ("tracking", "quality") and recording.bits != 8:
+        raise Unsupported(f"--for {aim}: SLAM and features read 8-bit frames, and these have 16; use --for speed")
     if aim == "tracking" and not recording.has_camera:
         raise Unsupported(
             "tracking needs the camera, and this recording has no calibration; give --fov DEGREES (its horizontal "
@@ -172,7 +173,8 @@ def _explain_aim(aim: Purpose, recording: Recording) -> str:
         return "the pixels are distances, so codecs are judged by their errors against the sensor's noise (--for depth)"
     if recording.bits != 8:
         how = "; if they are distances: --set depth_unit_m=METERS" if "depth_unit_m" in recording.settable else ""
-        return f"frames of 16 bits are not for SLAM or features, so codecs are judged by PSNR (--for quality){how}"
+        means = "PSNR, whose 40 dB are an error of 655 steps, and by times (--for speed)"
+        return f"frames of 16 bits are not for SLAM or features, so codecs are judged by {means}{how}"
     if aim == "tracking":
         return "the camera is known, so codecs are judged by SLAM on their frames (--for tracking)"
     judgment = "so codecs are judged by image quality and features (--for quality)"
@@ -284,14 +286,12 @@ class _Draft:
             if codec.values:
                 lines.append(f"    params: {_flow({key: _values(span) for key, span in codec.values.items()})}")
         without_truth = self.aim == "tracking" and not recording.has_ground_truth
-        unsuited = {*([_PLACES] if without_truth else []), *([_FEATURES] if recording.bits == 16 else [])}
-        lines += ["evaluators:", *(line for line in _EVALUATORS[self.aim] if line not in unsuited)]
+        lines += ["evaluators:", *(line for line in _EVALUATORS[self.aim] if not (without_truth and line == _PLACES))]
         return "\n".join(lines) + "\n"
 
 
 _QUALITY: Final = "  - quality  # bits per pixel, PSNR, SSIM"
 _PLACES: Final = "  - localization  # poses of frames in a map of raw frames"
-_FEATURES: Final = "  - features  # keypoint repeatability"
 
 
 def _tries(settings: int) -> int:
@@ -308,7 +308,12 @@ _EVALUATORS: Final[dict[str, list[str]]] = {
         "  - use: timing",
         "    params: {frames: 5, repeats: 3}",
     ],
-    "quality": [_QUALITY, _FEATURES, "  - use: timing", "    params: {frames: 5, repeats: 3}"],
+    "quality": [
+        _QUALITY,
+        "  - features  # keypoint repeatability",
+        "  - use: timing",
+        "    params: {frames: 5, repeats: 3}",
+    ],
     "depth": [
         "  - quality  # bits per pixel",
         "  - depth  # errors in millimeters, and against the sensor's noise",

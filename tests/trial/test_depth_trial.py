@@ -57,9 +57,9 @@ def test_other_16_bit_frames_are_intensities_without_features_or_slam(tmp_path: 
     recording = open_recording(write_frames(tmp_path / "thermal"), fov_deg=60.0)
     assert ", 16-bit gray, " in str(recording)
     matrix = made(recording)
-    assert (matrix.aim, evaluators(matrix)) == ("quality", ["quality", "timing"])
+    assert (matrix.aim, evaluators(matrix)) == ("speed", ["quality", "timing"])
     assert "--set depth_unit_m=METERS" in matrix.choices[0]
-    for aim, reason in (("depth", "is not depth; use --for quality"), ("tracking", "SLAM reads 8-bit frames")):
+    for aim, reason in (("depth", "is not depth; use --for speed"), ("tracking", "8-bit"), ("quality", "8-bit")):
         with pytest.raises(Unsupported, match=reason):
             made(recording, aim)
     assert made(open_recording(tmp_path / "thermal", params={"depth_unit_m": 0.01})).aim == "depth"

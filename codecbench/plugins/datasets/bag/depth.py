@@ -57,9 +57,7 @@ def _decode_compressed(message: Any, depth: Depth, where: str) -> Image:
     except (BitstreamError, cv2.error) as error:
         raise DatasetError(f"{where}: its depth cannot be decoded: {error}") from error
     if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 2:
-        raise DatasetError(
-            f"{where}: {len(content)} bytes of {message.format[:60]!r} are not a whole depth image of 16 bits"
-        )
+        raise DatasetError(f"{where}: {len(content)} bytes of {message.format[:60]!r} hold no whole 16-bit depth image")
     if not message.format.strip().startswith("32FC1"):
         return np.asarray(pixels, np.uint16)
     return DepthScale("inverse", 16, depth.unknown, depth.unit_m, step, offset, 0.0).pixels(pixels)

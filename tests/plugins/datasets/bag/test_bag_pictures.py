@@ -217,8 +217,8 @@ def png_of_size(width, height):
         (png_of_size(20_000, 8_000), "png", "20000x8000; at most 67108864 "),
         (png_of_size(200_000, 80_000), "png", "contains no image"),
         (encoded(DEEP, ".png")[:9], "16UC1; compressedDepth png", "9 bytes of '16UC1; compressedDepth png' are not"),
-        (bytes(12) + encoded(DEEP, ".png")[:-300], "16UC1; compressedDepth png", "are not a whole depth image"),
-        (bytes(12) + encoded(GRAY, ".png"), "16UC1; compressedDepth png", "are not a whole depth image"),
+        (bytes(12) + encoded(DEEP, ".png")[:-300], "16UC1; compressedDepth png", "hold no whole 16-bit depth image"),
+        (bytes(12) + encoded(GRAY, ".png"), "16UC1; compressedDepth png", "hold no whole 16-bit depth image"),
         (bytes(40), "16UC1; compressedDepth rvl", "its depth cannot be decoded: rvl: "),
     ],
 )
