@@ -49,7 +49,7 @@ def _load_imagecodecs(functions: tuple[str, ...]) -> ModuleType:
     except ImportError as error:
         raise Unsupported("imagecodecs is not installed; run: pip install 'codecbench[codecs]'") from error
     for function in functions:
-        if not getattr(imagecodecs, function.upper()).available:
+        if not getattr(getattr(imagecodecs, function.upper(), None), "available", False):  # older ones lack the name
             raise Unsupported(f"this build of imagecodecs has no {function}; run: pip install --upgrade imagecodecs")
     return imagecodecs  # type: ignore[no-any-return]
 

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from inspect import signature
 from pathlib import Path
 
 import cv2
@@ -71,7 +72,8 @@ def test_every_listed_kernel_is_there() -> None:
         entries = entries_of(name)
         assert entries, name
         for entry in entries:
-            entry.is_cached()  # raises where there is no such kernel, build or type
+            dispatcher, arguments = entry._resolve()  # raises where there is no such kernel, build or type
+            signature(dispatcher.py_func).bind(*arguments)
 
 
 def test_a_module_gets_its_own_entries_and_a_stranger_none() -> None:

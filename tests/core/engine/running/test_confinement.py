@@ -32,7 +32,7 @@ evaluators: [quality]
 run: {workers: 2, timeout_s: 60, executor: EXECUTOR}
 """
 PRYING = """
-import ctypes, glob, json, os, pathlib, signal, socket, tempfile, time
+import ctypes, glob, json, os, pathlib, signal, socket, sys, tempfile, time
 from contextlib import suppress
 import cv2
 import numpy as np
@@ -188,8 +188,8 @@ class Prying(Codec[PryingParams]):
         with suppress(OSError):
             raise AssertionError(socket.socket(40, socket.SOCK_STREAM))  # that of virtual machines
         assert not glob.glob("/home/*") + glob.glob("/run/*") + glob.glob("/var/*"), os.listdir("/")
-        assert [path for path in glob.glob(f"/tmp/*") if not os.environ["PLACE"].startswith(path)
-                and not os.getcwd().startswith(path)] == [], os.listdir("/tmp")
+        known = (os.environ["PLACE"], os.getcwd(), sys.prefix)  # of an environment among the temporary files
+        assert not [path for path in glob.glob("/tmp/*") if not any(name.startswith(path) for name in known)]
 
     def do_leave(self):
         for folder in ("/tmp", "/dev/shm", "/var/tmp", os.getcwd(), os.path.expanduser("~"), str(HOME)):
