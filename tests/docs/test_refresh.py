@@ -246,8 +246,8 @@ def test_benchmarks_become_tables() -> None:
         ("ms ssim", "2 ms"), ("localization", "9 ms"),
     ]  # fmt: skip
     assert table_rows(codecs) == [
-        ["codec", "gray encode ms", "gray decode ms", "rgb encode ms", "rgb decode ms"],
-        ["`x`, q=7", "1", "3", "2", "4"],
+        ["codec", *(f"{picture} {way} ms" for picture in ("gray", "rgb", "depth") for way in ("encode", "decode"))],
+        ["`x`, q=7", "1", "3", "2", "4", "–", "–"],
     ]
 
 
