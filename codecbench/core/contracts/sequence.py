@@ -44,7 +44,7 @@ class Trajectory:
     timestamps_s: NDArray[np.float64]
     """(N,) seconds, strictly increasing."""
     world_from_camera: NDArray[np.float64]
-    """(N, 4, 4) rigid transforms; translations in meters."""
+    """(N, 4, 4) rigid transforms; translations in meters. Rotations are NaN if only positions are known."""
 
     def __len__(self) -> int:
         return len(self.timestamps_s)
@@ -53,6 +53,11 @@ class Trajectory:
     def positions_world(self) -> NDArray[np.float64]:
         """(N, 3) camera centers in meters."""
         return self.world_from_camera[:, :3, 3]
+
+    @property
+    def has_rotations(self) -> bool:
+        """Whether rotations are known too."""
+        return bool(np.isfinite(self.world_from_camera).all())
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,14 @@ class Selection(Params):
         return MiscalibratedSequence(sized, self.calibration_error) if self.calibration_error else sized
 
 
+def already_coded(what: str) -> str:
+    """A note on frames that were coded with loss before; `what` says how."""
+    return (
+        f"THE FRAMES ARE ALREADY CODED: {what}; `raw` includes their losses, and every codec is compared with it, not "
+        "with the camera's output"
+    )
+
+
 @contextmanager
 def workaround(**params: Any) -> Iterator[None]:
     """Add these parameters to a DatasetError raised inside, as a way to open the rest, unless it names others."""

@@ -18,7 +18,7 @@ _FEWEST_COEFFICIENTS = {"plumb_bob": 4, "rational_polynomial": 5, **dict.fromkey
 
 def camera_topic(recording: Recording, images: Topic) -> Topic | None:
     """The `camera_info` topic beside a topic of images, else the only topic of that type, else None."""
-    topics = {name: topic for name, topic in recording.topics.items() if topic.type == CAMERA_INFO and len(topic)}
+    topics = {name: topic for name, topic in recording.topics.items() if topic.kind == CAMERA_INFO and len(topic)}
     parent = images.name
     while "/" in parent:
         parent = parent.rpartition("/")[0]

@@ -16,6 +16,7 @@ from codecbench.core.contracts.image import Image, layout_of
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Depth, Frame, FrameSequence, Origin
 from codecbench.plugins.datasets.bag.camera_topic import camera_from_topic, camera_topic
+from codecbench.plugins.datasets.bag.coded_video import CodedVideo
 from codecbench.plugins.datasets.bag.depth import decode_depth, depth_notes, is_depth
 from codecbench.plugins.datasets.bag.ground_truth import PoseSource, find_ground_truth, frame_name
 from codecbench.plugins.datasets.bag.images import (
@@ -27,7 +28,7 @@ from codecbench.plugins.datasets.bag.images import (
     is_supported,
     largest_sample,
 )
-from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE
+from codecbench.plugins.datasets.bag.messages import CAMERA_INFO, COMPRESSED, IMAGE, VIDEO
 from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic, has_bag_name, open_recording
 from codecbench.plugins.datasets.calibration import describe_lens
 from codecbench.plugins.datasets.files import fingerprint_facts, json_digest
@@ -111,7 +112,9 @@ class BagSequence(FrameSequence):
         self._params = params
         self._recording = open_recording(params.path)
         self._topic = image_topic(self._recording, params.topic)
-        times_ns, numbers, order_notes = _sort_messages(self._recording, self._topic, params.time)
+        self._video = CodedVideo(self._recording, self._topic) if self._topic.kind == VIDEO else None
+        first_number = 0 if self._video is None else self._video.first
+        times_ns, numbers, order_notes = _sort_messages(self._recording, self._topic, params.time, first_number)
         self._chosen = params.indices(len(numbers), f"{params.path} {self._topic.name}")
         chosen = np.array(self._chosen)
         self._numbers = numbers[chosen]
@@ -133,15 +136,14 @@ class BagSequence(FrameSequence):
         pose_source = PoseSource(params.ground_truth, params.parent_frame, params.child_frame, frame)
         with workaround(ground_truth="none"):
             self.ground_truth, truth_notes = find_ground_truth(self._recording, pose_source)
-        compressed = self._topic.type == COMPRESSED
-        largest = None if compressed or self.bits == 16 else self._largest_sample()
-        format_notes = compressed_notes(first) if compressed else image_notes(first, params.bits, largest)
-        format_notes = format_notes if self.depth is None else depth_notes(first, self.depth)
-        self.origin = Origin(
-            f"{self._recording.kind}, topic {self._topic.name}",
-            known.source,
-            params={} if largest is None or bits_of(largest) == params.bits else {"bits": bits_of(largest)},
-        )
+        largest = self._largest_sample() if self._topic.kind == IMAGE and self.bits == 8 else None
+        suited: dict[str, Any] = {}
+        if largest is not None and bits_of(largest) != params.bits:
+            suited = {"bits": bits_of(largest)}
+        elif self._video is not None and self.channels == 3 and not self._video.shows_color():
+            suited = {"color": "gray"}
+        format_notes = self._format_notes(first, largest, times_ns)
+        self.origin = Origin(f"{self._recording.kind}, topic {self._topic.name}", known.source, params=suited)
         subset_notes = params.subset_notes(len(numbers))
         self.notes = (
             *self._recording.remarks,
@@ -157,7 +159,10 @@ class BagSequence(FrameSequence):
     @cached_property
     def fingerprint(self) -> str:  # type: ignore[override]
         """Digest over the messages of all frames, times, camera and ground truth; the first access reads them all."""
-        messages = (self._recording.raw(self._topic, number) for number in self._numbers.tolist())
+        numbers = self._numbers.tolist()
+        if self._video is not None:  # frames depend on packets between
+            numbers += range(self._video.key_before(min(numbers)), max(numbers) + 1)
+        messages = (self._recording.raw(self._topic, number) for number in numbers)
         return json_digest(
             {
                 "messages": [hashlib.sha256(message).hexdigest() for message in messages],
@@ -177,12 +182,27 @@ class BagSequence(FrameSequence):
         return Frame(index, float(self.timestamps_s[index]), image)
 
     def _read_image(self, index: int) -> Image:
-        decode = decode_compressed if self._topic.type == COMPRESSED else decode_image
-        number, bits = int(self._numbers[index]), None if self._params.samples == "16_bits" else self._params.bits
+        number = int(self._numbers[index])
         with workaround(skip=[self._chosen[index]]):
-            message, where = self._recording.message(self._topic, number), self._recording.where(self._topic, number)
-            image = decode(message, bits, where) if self.depth is None else decode_depth(message, self.depth, where)
+            image = self._decode(number) if self._video is None else self._video.image(number)
         return convert_color(image, self._params.color)
+
+    def _decode(self, number: int) -> Image:
+        message, where = self._recording.message(self._topic, number), self._recording.where(self._topic, number)
+        if self.depth is not None:
+            return decode_depth(message, self.depth, where)
+        decode = decode_compressed if self._topic.kind == COMPRESSED else decode_image
+        return decode(message, None if self._params.samples == "16_bits" else self._params.bits, where)
+
+    def _format_notes(self, first: Any, largest: int | None, times_ns: Integers) -> list[str]:
+        """Notes on how the frames were recorded. largest: see `image_notes`."""
+        if self._video is not None:
+            return self._video.notes(times_ns, self._size)
+        if self.depth is not None:
+            return depth_notes(first, self.depth)
+        if self._topic.kind == COMPRESSED:
+            return compressed_notes(first)
+        return image_notes(first, self._params.bits, largest)
 
     def _largest_sample(self) -> int | None:
         """The largest sample of a few frames spread over the sequence; None if they do not have 16 bits."""
@@ -236,7 +256,9 @@ class BagSequence(FrameSequence):
 def image_topic(recording: Recording, name: str | None) -> Topic:
     """The topic called `name`, else the only topic of images. Raises DatasetError, which lists the topics."""
     images = {
-        topic.name: topic for topic in recording.topics.values() if topic.type in (IMAGE, COMPRESSED) and len(topic)
+        topic.name: topic
+        for topic in recording.topics.values()
+        if topic.kind in (IMAGE, COMPRESSED, VIDEO) and len(topic)
     }
     if name is not None and name in images:
         return images[name]
@@ -265,7 +287,11 @@ def describe_topic(recording: Recording, topic: Topic) -> str:
     """Describe a topic of images: its name, count, type and size."""
     try:
         message = recording.message(topic, 0)
-        if topic.type == COMPRESSED:
+        if topic.kind == VIDEO:
+            video = CodedVideo(recording, topic)
+            height, width = video.image(video.first).shape[:2]
+            kind = video.coding
+        elif topic.kind == COMPRESSED:
             where = recording.where(topic, 0)
             depth = is_depth(message, topic.name)
             image = (
@@ -284,14 +310,14 @@ def describe_topic(recording: Recording, topic: Topic) -> str:
 def _find_camera_topic(recording: Recording, name: str) -> Topic:
     """The CameraInfo topic called `name`. Raises DatasetError."""
     topic = recording.topics.get(name)
-    if topic is None or topic.type != CAMERA_INFO or not len(topic):
-        names = [topic.name for topic in recording.topics.values() if topic.type == CAMERA_INFO]
+    if topic is None or topic.kind != CAMERA_INFO or not len(topic):
+        names = [topic.name for topic in recording.topics.values() if topic.kind == CAMERA_INFO]
         raise DatasetError(f"{recording.path}: camera {name!r} is not a topic of {CAMERA_INFO}; set one of {names}")
     return topic
 
 
-def _sort_messages(recording: Recording, topic: Topic, time: str) -> tuple[Integers, Integers, list[str]]:
-    """Strictly increasing times in ns, the numbers of their messages, and notes on both."""
+def _sort_messages(recording: Recording, topic: Topic, time: str, first: int) -> tuple[Integers, Integers, list[str]]:
+    """Strictly increasing times in ns of the messages from the `first`, their numbers, and notes on both."""
     (times_ns, headers_ns, damage), notes = recording.index(topic), []
     if damage is not None:
         notes.append(f"only {len(times_ns)} of {len(topic)} frames are read, up to the damage: {damage}")
@@ -300,9 +326,13 @@ def _sort_messages(recording: Recording, topic: Topic, time: str) -> tuple[Integ
             notes.append("times are those of the recording, because headers have none")
         else:
             times_ns = headers_ns
-    unique_ns, numbers = np.unique(times_ns, return_index=True)
+    numbers = np.flatnonzero((np.arange(len(times_ns)) >= first) & (times_ns >= times_ns[first]))
+    if earlier := len(times_ns) - len(numbers):
+        notes.append(f"frames begin at the first key frame, {topic.name}[{first}]: {earlier} before it are left out")
+    times_ns = times_ns[numbers]
+    unique_ns, places = np.unique(times_ns, return_index=True)
     if (repeated := len(times_ns) - len(unique_ns)) > 0:
         notes.append(f"{repeated} frames are left out because another has the same time")
     if (np.diff(times_ns) < 0).any():
         notes.append("frames are sorted by time, which changes the order of the recording")
-    return unique_ns, numbers.astype(np.int64), notes
+    return unique_ns, numbers[places].astype(np.int64), notes

@@ -14,6 +14,7 @@ from codecbench.core.contracts.sequence import Depth
 from codecbench.plugins.codecs.quantizer import DepthScale
 from codecbench.plugins.codecs.rvl import Rvl
 from codecbench.plugins.datasets.bag.images import check_compressed, decode_image, read_samples
+from codecbench.plugins.datasets.selection import already_coded
 
 _COMPRESSED_DEPTH: Final = "compressedDepth"
 _CONFIGURATION: Final = struct.Struct("<iff")
@@ -72,7 +73,4 @@ def depth_notes(message: Any, depth: Depth) -> list[str]:
     kind = message.format.strip()[:60]
     if not message.format.strip().startswith("32FC1"):
         return [f"pixels are distances in {step}, recorded as {kind}, which is lossless"]
-    return [
-        f"THE FRAMES ARE ALREADY CODED: the topic has inverse depth ({kind}), rounded to {step}; `raw` includes its "
-        "losses, and every codec is compared with it, not with the camera's output"
-    ]
+    return [already_coded(f"the topic has inverse depth ({kind}), rounded to {step}")]

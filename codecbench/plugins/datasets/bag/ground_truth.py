@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.sequence import Trajectory
-from codecbench.plugins.datasets.bag.messages import ODOMETRY, POSE, POSE_COVARIANCE, TRANSFORM, TRANSFORMS
+from codecbench.plugins.datasets.bag.messages import (
+    FIX,
+    ODOMETRY,
+    POSE,
+    POSE_COVARIANCE,
+    TRANSFORM,
+    TRANSFORMS,
+    stamp_ns,
+)
 from codecbench.plugins.datasets.bag.recording import Recording, Topic
 from codecbench.plugins.datasets.tables import transforms_from_quaternions
 
@@ -54,7 +62,7 @@ class FrameTree:
         self._where = str(recording.path)
         for topic in recording.topics.values():
             is_static = topic.name.rpartition("/")[2] == _STATIC
-            if topic.type in TRANSFORMS and (is_static or topic is moving):
+            if topic.kind == TRANSFORMS[0] and (is_static or topic is moving):
                 for _, message in recording.messages(topic):
                     for transform in message.transforms:
                         self._add(transform, is_static)
@@ -150,17 +158,15 @@ def pose_numbers(position: Any, rotation: Any) -> tuple[float, ...]:
     return (position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w)
 
 
-def stamp_ns(header: Any) -> int:
-    """The time in a message's header, in ns."""
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
-
-
 def frame_name(text: str) -> str:
     """The name of a coordinate frame without the leading slash that ROS 1 allows."""
     return text.strip("\0").lstrip("/")
 
 
 POSE_TYPES: Final = (POSE, POSE_COVARIANCE, TRANSFORM, ODOMETRY)
+_TRUTH_KINDS: Final = (*POSE_TYPES, TRANSFORMS[0], FIX)
+_EQUATOR_M: Final = 6378137.0
+_ECCENTRICITY_2: Final = 0.00669437999014
 _REMEDY: Final = "set `ground_truth: none` to use none"
 
 
@@ -186,35 +192,34 @@ def find_ground_truth(recording: Recording, pose_source: PoseSource) -> tuple[Tr
             return None, notes
     else:
         topic = _find_topic(recording, pose_source.topic)
-    if topic.type in TRANSFORMS:
+    if topic.kind == TRANSFORMS[0]:
         return _path_from_transforms(recording, topic, pose_source)
+    if topic.kind == FIX:
+        return _path_from_fixes(recording, topic)
     return _path_from_poses(recording, topic, pose_source)
 
 
 def _only_topic(recording: Recording) -> tuple[Topic | None, list[str]]:
     """The recording's topic of poses if there is exactly one, else None and a note."""
-    poses = [topic for topic in recording.topics.values() if topic.type in POSE_TYPES and len(topic)]
+    poses = [topic for topic in recording.topics.values() if topic.kind in POSE_TYPES and len(topic)]
     if len(poses) == 1:
         return poses[0], []
-    names = ", ".join(topic.name for topic in poses or _transform_topics(recording))
+    others = [
+        topic
+        for topic in recording.topics.values()
+        if topic.kind in (TRANSFORMS[0], FIX) and not topic.name.endswith("tf_static")
+    ]
+    names = ", ".join(topic.name for topic in poses or others)
     if not names:
         return None, []
     return None, [f"no ground truth is used; set `ground_truth: TOPIC` to one of {names}"]
 
 
-def _transform_topics(recording: Recording) -> list[Topic]:
-    return [
-        topic
-        for topic in recording.topics.values()
-        if topic.type in TRANSFORMS and not topic.name.endswith("tf_static")
-    ]
-
-
 def _find_topic(recording: Recording, name: str) -> Topic:
     """The topic of poses or transforms called `name`. Raises DatasetError."""
     topic = recording.topics.get(name)
-    if topic is None or not len(topic) or topic.type not in (*POSE_TYPES, *TRANSFORMS):
-        names = [topic.name for topic in recording.topics.values() if topic.type in (*POSE_TYPES, *TRANSFORMS)]
+    if topic is None or not len(topic) or topic.kind not in _TRUTH_KINDS:
+        names = [topic.name for topic in recording.topics.values() if topic.kind in _TRUTH_KINDS]
         what = "does not exist" if topic is None else f"has {len(topic)} messages of {topic.type}"
         raise DatasetError(
             f"{recording.path}: ground_truth {name!r} {what}; pose topics: {', '.join(names) or 'none'}; {_REMEDY}"
@@ -235,7 +240,7 @@ def _path_from_poses(recording: Recording, topic: Topic, pose_source: PoseSource
     parents: set[str] = set()
     for time_ns, message in recording.messages(topic):
         edge.times_ns.append(stamp_ns(message.header) or time_ns)
-        edge.numbers.extend(_pose(message, topic.type))
+        edge.numbers.extend(_pose(message, topic.kind))
         parents.add(frame_name(message.header.frame_id))
         child = child or frame_name(getattr(message, "child_frame_id", ""))
     if len(parents) > 1:
@@ -245,6 +250,39 @@ def _path_from_poses(recording: Recording, topic: Topic, pose_source: PoseSource
     )
     summary = f"ground truth: {len(path)} poses of {topic.name} ({topic.type}); if they are an estimate, {_REMEDY}"
     return path, [summary, *notes]
+
+
+def _path_from_fixes(recording: Recording, topic: Topic) -> tuple[Trajectory, list[str]]:
+    """Positions of a satellite receiver, taken for the camera's. Raises DatasetError if it has no fix."""
+    times_ns, fixes = array("q"), array("d")
+    for time_ns, message in recording.messages(topic):
+        place = (message.latitude, message.longitude, message.altitude)
+        if getattr(getattr(message, "status", None), "status", 0) >= 0 and np.isfinite(place).all():
+            times_ns.append(stamp_ns(message.header) or time_ns)
+            fixes.extend(place)
+    if not times_ns:
+        raise DatasetError(f"{recording.path}: {topic.name} has no fix among {len(topic)} messages; {_REMEDY}")
+    unique_ns, first = np.unique(np.frombuffer(times_ns, np.int64), return_index=True)
+    poses = np.full((len(first), 4, 4), np.nan)
+    poses[:, 3] = 0.0, 0.0, 0.0, 1.0
+    poses[:, :3, 3] = positions_from_fixes(np.frombuffer(fixes, np.float64).reshape(-1, 3))[first]
+    summary = f"ground truth: {len(first)} positions of {topic.name} ({topic.type}), without rotations"
+    return Trajectory(unique_ns / 1e9, poses), [f"{summary}; its error, often meters, is part of every ATE"]
+
+
+def positions_from_fixes(fixes: Floats) -> Floats:
+    """Meters (N, 3) east, north and up of the first of fixes (N, 3): degrees of latitude and longitude, and altitude.
+
+    By way of geocentric coordinates on the WGS 84 ellipsoid (NIMA TR8350.2).
+    """
+    latitude, longitude = np.radians(fixes[:, 0]), np.radians(fixes[:, 1])
+    radius = _EQUATOR_M / np.sqrt(1.0 - _ECCENTRICITY_2 * np.sin(latitude) ** 2)
+    across = (radius + fixes[:, 2]) * np.cos(latitude)
+    along = ((1.0 - _ECCENTRICITY_2) * radius + fixes[:, 2]) * np.sin(latitude)
+    centric = np.column_stack([across * np.cos(longitude), across * np.sin(longitude), along])
+    turned = scipy.spatial.transform.Rotation.from_euler("ZY", [longitude[0], -latitude[0]]).inv()
+    up_east_north = turned.apply(centric - centric[0])
+    return np.asarray(up_east_north[:, [1, 2, 0]])
 
 
 def _pose(message: Any, type_: str) -> tuple[float, ...]:

@@ -16,8 +16,9 @@ from PIL import Image as PillowImage
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import MAX_PIXELS, Image
 from codecbench.plugins.codecs.jfif import quality_from_jpeg
+from codecbench.plugins.datasets.selection import already_coded
 
-_COMPRESSED_FORMATS: Final = ("JPEG", "PNG", "WEBP", "TIFF", "BMP")
+_COMPRESSED_FORMATS: Final = ("JPEG", "PNG", "WEBP", "AVIF", "JPEG2000", "TIFF", "BMP")
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class _Layout:
     """Samples per pixel."""
     conversion: int | None = None
     """OpenCV's code of the conversion to RGB; None if there is nothing to convert."""
+    rows: float = 1.0
+    """Rows of samples per row of pixels."""
 
 
 def _layouts() -> dict[str, _Layout]:
@@ -55,7 +58,9 @@ def _layouts() -> dict[str, _Layout]:
             f"{bits}UC4": layouts[f"bgra{bits}"],
         }
     uyvy, yuyv = (_Layout(8, 2, code) for code in (cv2.COLOR_YUV2RGB_UYVY, cv2.COLOR_YUV2RGB_YUY2))
-    return layouts | {"yuv422": uyvy, "uyvy": uyvy, "yuv422_yuy2": yuyv, "yuyv": yuyv}
+    nv12, nv21 = (_Layout(8, 1, code, rows=1.5) for code in (cv2.COLOR_YUV2RGB_NV12, cv2.COLOR_YUV2RGB_NV21))
+    packed = {"yuv422": uyvy, "uyvy": uyvy, "yuv422_yuy2": yuyv, "yuyv": yuyv}
+    return layouts | packed | {"nv12": nv12, "nv21": nv21}
 
 
 _LAYOUTS: Final = _layouts()
@@ -71,7 +76,7 @@ def decode_image(message: Any, bits: int | None, where: str) -> Image:
     if layout is None:
         known = ", ".join(sorted(_LAYOUTS))
         raise DatasetError(f"{where}: encoding {message.encoding[:40]!r} is not supported; supported: {known}")
-    samples = read_samples(message, layout.channels, layout.bits, where)
+    samples = read_samples(message, layout.channels, layout.bits, where, layout.rows)
     if layout.bits == 16 and bits is None:
         if layout.channels > 1 or layout.conversion is not None:
             raise DatasetError(
@@ -81,9 +86,9 @@ def decode_image(message: Any, bits: int | None, where: str) -> Image:
     return _rgb(eight_bits(samples, bits or 16) if layout.bits == 16 else samples, layout, where)
 
 
-def read_samples(message: Any, channels: int, bits: int, where: str) -> NDArray[Any]:
+def read_samples(message: Any, channels: int, bits: int, where: str, rows_per_pixel: float = 1.0) -> NDArray[Any]:
     """The samples (H, W) or (H, W, C) of a sensor_msgs/Image: uint8, uint16, or float32. Raises DatasetError."""
-    width, height, step = int(message.width), int(message.height), int(message.step)
+    width, height, step = int(message.width), int(message.height * rows_per_pixel), int(message.step)
     row_bytes = width * channels * bits // 8
     if not 0 < width * height <= MAX_PIXELS or step < row_bytes or len(message.data) < step * (height - 1) + row_bytes:
         raise DatasetError(
@@ -156,10 +161,12 @@ def decode_compressed(message: Any, bits: int | None, where: str) -> Image:
 
 def check_compressed(content: NDArray[np.uint8], where: str) -> None:
     """Raise DatasetError, before decoding, if the content is no image, truncated, or too large by its header."""
+    PillowImage.init()
+    formats = [name for name in _COMPRESSED_FORMATS if name in PillowImage.OPEN]  # Pillow before 11.3 has no AVIF
     try:
         with (
             warnings.catch_warnings(action="ignore"),
-            PillowImage.open(BytesIO(content.tobytes()), formats=_COMPRESSED_FORMATS) as opened,
+            PillowImage.open(BytesIO(content.tobytes()), formats=formats) as opened,
         ):
             (width, height), kind = opened.size, opened.format
     except (OSError, ValueError, SyntaxError, PillowImage.DecompressionBombError) as error:
@@ -185,7 +192,7 @@ def image_notes(message: Any, bits: int, largest: int | None) -> list[str]:
         )
     if message.encoding.startswith("bayer"):
         notes.append(f"{message.encoding} becomes RGB by bilinear interpolation (OpenCV)")
-    elif message.encoding in ("yuv422", "uyvy", "yuv422_yuy2", "yuyv"):
+    elif message.encoding in ("yuv422", "uyvy", "yuv422_yuy2", "yuyv", "nv12", "nv21"):
         notes.append(f"{message.encoding} becomes RGB by BT.601 (OpenCV); the camera halved its chroma")
     return notes
 
@@ -198,7 +205,4 @@ def compressed_notes(message: Any) -> list[str]:
     quality = quality_from_jpeg(content)
     measured = "" if quality is None else f", {quality}"
     kind = message.format.strip()[:60] or "compressed"
-    return [
-        f"THE FRAMES ARE ALREADY CODED: the topic has {kind} images{measured}; "
-        "`raw` includes their losses, and every codec is compared with it, not with the camera's output"
-    ]
+    return [already_coded(f"the topic has {kind} images{measured}")]

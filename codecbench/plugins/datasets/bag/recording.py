@@ -27,7 +27,7 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag2 import Reader as Ros2Reader
 
 from codecbench.core.contracts.errors import DatasetError
-from codecbench.plugins.datasets.bag.messages import ENCODINGS, deserialize
+from codecbench.plugins.datasets.bag.messages import deserialize, kind_of, stamp_ns
 from codecbench.plugins.datasets.folder import natural_key
 
 if sys.version_info >= (3, 14):
@@ -56,13 +56,18 @@ class Topic:
 
     name: str
     type: str
-    """Message type, such as `sensor_msgs/msg/Image`."""
+    """Message type, such as `sensor_msgs/msg/Image` or `foxglove.RawImage`."""
     encoding: str
-    """`cdr` or `ros1`."""
+    """How messages are serialized, such as `cdr`, `ros1`, `protobuf` or `json`."""
     count: int
 
     def __len__(self) -> int:
         return self.count
+
+    @property
+    def kind(self) -> str:
+        """The ROS type whose fields its deserialized messages have; empty if they cannot be deserialized."""
+        return kind_of(self.type, self.encoding)
 
 
 class BagFile(ABC):
@@ -200,7 +205,7 @@ class Recording:
             damage = None
             try:
                 for number, (time_ns, content) in enumerate(self._stream(topic, 0)):
-                    headers_ns.append(_header_time_ns(content, topic.encoding, self.where(topic, number)))
+                    headers_ns.append(_header_time_ns(content, topic, self.where(topic, number)))
                     times_ns.append(time_ns)
             except DatasetError as error:
                 if not times_ns:
@@ -237,11 +242,10 @@ class Recording:
         parts: dict[str, list[Topic]] = {}
         for file in files:
             for topic in file.topics():
-                if topic.encoding in ENCODINGS:
-                    parts.setdefault(topic.name, []).append(topic)
+                parts.setdefault(topic.name, []).append(topic)
         for name, topics in sorted(parts.items()):
             kinds = sorted({(topic.type, topic.encoding) for topic in topics})
-            if len(kinds) > 1:
+            if len(kinds) > 1 and any(topic.kind for topic in topics):
                 raise DatasetError(
                     f"{self.path}: topic {name} has messages of {kinds}; only topics of one type are supported"
                 )
@@ -277,11 +281,13 @@ def type_from_name(name: str) -> str:
     return name if "/" in last or not last else f"{package}/msg/{last}"
 
 
-def _header_time_ns(content: bytes, encoding: str, where: str) -> int:
+def _header_time_ns(content: bytes, topic: Topic, where: str) -> int:
     """The time in ns in the header at a message's beginning. Raises DatasetError, naming `where`."""
+    if topic.encoding not in ("cdr", "ros1"):
+        return stamp_ns(deserialize(content, topic.type, topic.encoding, where).header)
     if len(content) < _HEAD_BYTES:
         raise DatasetError(f"{where}: {len(content)} bytes are too few for a header")
-    big = encoding == "cdr" and content[1] == 0
+    big = topic.encoding == "cdr" and content[1] == 0
     # CDR begins with 4 bytes of encapsulation, ROS 1 with the header's sequence number.
     seconds, nanoseconds = struct.unpack(">iI" if big else "<iI", content[4:_HEAD_BYTES])
     return int(seconds) * 1_000_000_000 + int(nanoseconds)

@@ -123,11 +123,13 @@ Poses = NDArray[np.float64]
 def true_poses(sequence: FrameSequence, association_s: float) -> Poses:
     """(N, 4, 4) world_from_camera of every frame, NaN if no true pose is within `association_s` of it.
 
-    Raises Unsupported if the sequence has no ground truth, or none near a frame.
+    Raises Unsupported if the sequence has no ground truth, none near a frame, or one without rotations.
     """
     truth = sequence.ground_truth
     if truth is None:
         raise Unsupported(f"sequence {sequence.name} has no ground truth; give one, or leave this evaluator out")
+    if not truth.has_rotations:
+        raise Unsupported(f"the ground truth of {sequence.name} has positions only; leave this evaluator out")
     nearest = nearest_stamps(sequence.timestamps_s, truth.timestamps_s, association_s)
     if not (nearest >= 0).any():
         raise Unsupported(f"no frame of {sequence.name} has a true pose within association_s = {association_s:g} s")

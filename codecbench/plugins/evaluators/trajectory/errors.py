@@ -63,6 +63,7 @@ def first_frame_rmse(pairs: Pairs) -> float:
     """
     if len(pairs) < MIN_POSES:
         raise Undefined(f"{len(pairs)} tracked frame(s) have ground truth; {MIN_POSES} are needed")
+    _require_rotations(pairs)
     true, estimated = _from_first(pairs.reference), _from_first(pairs.estimate)
     true_norms, estimated_norms = np.linalg.norm(true, axis=1), np.linalg.norm(estimated, axis=1)
     moved = estimated_norms > 0.0
@@ -78,6 +79,7 @@ def relative_errors(pairs: Pairs, similarity: Similarity, interval_s: float, tol
     Every pose is paired with the one nearest to `interval_s` later, if one is within `tolerance_s`; gaps are skipped.
     The estimate has the scale of `similarity`. Raises Undefined if no two poses pair.
     """
+    _require_rotations(pairs)
     stamps_s = pairs.estimate.timestamps_s
     ends = nearest_stamps(stamps_s + interval_s, stamps_s, tolerance_s)
     starts = np.flatnonzero(ends > np.arange(len(ends)))
@@ -89,6 +91,11 @@ def relative_errors(pairs: Pairs, similarity: Similarity, interval_s: float, tol
     errors = np.linalg.inv(true) @ estimated
     angles = np.asarray(Rotation.from_matrix(errors[:, :3, :3]).magnitude())
     return RelativeErrors(rms(np.linalg.norm(errors[:, :3, 3], axis=1)), float(np.degrees(rms(angles))))
+
+
+def _require_rotations(pairs: Pairs) -> None:
+    if not pairs.reference.has_rotations:
+        raise Undefined("the ground truth has positions only")
 
 
 def scale_drift(pairs: Pairs) -> float:

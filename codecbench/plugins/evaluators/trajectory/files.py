@@ -28,8 +28,13 @@ LIVE: Final = "live.csv"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Poses as lines `timestamp tx ty tz qx qy qz qw` (TUM's format): seconds, world_from_camera."""
+    """Poses as lines `timestamp tx ty tz qx qy qz qw` (TUM's format): seconds, world_from_camera.
+
+    Unknown rotations become 0 0 0 1, because the format has no poses without rotation.
+    """
     poses = trajectory.world_from_camera
+    if not trajectory.has_rotations:
+        poses = np.where(np.isnan(poses), np.eye(4), poses)
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat() if len(poses) else np.empty((0, 4))
     rows = np.column_stack([trajectory.timestamps_s, poses[:, :3, 3], quaternions])
     np.savetxt(path, rows, fmt=["%.6f"] + ["%.9g"] * 7, header="timestamp_s tx ty tz qx qy qz qw")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import struct
 import zlib
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from bag_files import BagWriter, picture, time_ns
+from PIL import Image as PillowImage
 
 from codecbench.core.contracts.errors import DatasetError
 from codecbench.plugins.datasets.bag.dataset import Bag
@@ -136,6 +138,21 @@ def test_yuv_with_halved_chroma(tmp_path, encoding, place):
     np.testing.assert_allclose(image, np.repeat(expected[:, :, None], 3, axis=2), atol=1)
 
 
+@pytest.mark.parametrize(("encoding", "blue"), [("nv12", 0), ("nv21", 1)])
+def test_yuv_with_quartered_chroma(tmp_path, encoding, blue):
+    samples = np.full((36, 32), 128, np.uint8)
+    samples[:24] = luma = picture(6, (24, 32)) // 2 + 60
+    samples[24:, blue::2] = 168
+
+    def make(bag):
+        message = bag.image(samples, encoding, time_ns(0))
+        message.height = 24
+        return message
+
+    expected = (luma[:, :, None] - 16.0) * 255 / 219 + np.array([0.0, -0.391, 2.018]) * 40  # BT.601
+    np.testing.assert_allclose(opened(tmp_path, make).read(0).image, np.clip(expected, 0, 255), atol=1.5)
+
+
 def test_an_encoding_that_is_not_read_lists_those_that_are(tmp_path):
     said = error(tmp_path, lambda bag: bag.image(np.zeros((4, 4, 2), np.float32), "32FC2", time_ns(0)))
     assert re.search(r"/image\[0\]: .*'32FC2'.*: 16UC1, ", said)
@@ -189,6 +206,23 @@ def test_png_pictures_lose_nothing(tmp_path):
         sequence = opened(tmp_path, lambda bag, c=content: bag.compressed_image(c, "png", time_ns(0)))
         np.testing.assert_array_equal(sequence.read(0).image, image)
         assert any("is lossless" in note for note in sequence.notes)
+
+
+def as_file(image, kind, **options):
+    stream = io.BytesIO()
+    PillowImage.fromarray(image).save(stream, kind, **options)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(("kind", "options"), [("AVIF", {"quality": 60}), ("JPEG2000", {}), ("WEBP", {"quality": 60})])
+def test_other_pictures_are_those_that_pillow_decodes(tmp_path, kind, options):
+    content = as_file(RGB, kind, **options)
+    sequence = opened(tmp_path, lambda bag: bag.compressed_image(content, kind.lower(), time_ns(0)))
+    np.testing.assert_array_equal(sequence.read(0).image, PillowImage.open(io.BytesIO(content)))
+    assert f"ALREADY CODED: the topic has {kind.lower()} images" in sequence.notes[1]
+    for cut in (3, len(content) // 2):
+        said = error(tmp_path, lambda bag, c=cut: bag.compressed_image(content[:-c], kind.lower(), time_ns(0)))
+        assert re.search("cannot be decoded|contains no image", said)
 
 
 def test_png_pictures_of_16_bits_and_of_a_mosaic(tmp_path):

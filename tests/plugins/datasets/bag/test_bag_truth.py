@@ -166,3 +166,29 @@ def test_poses_that_are_none_are_errors_of_their_message(tmp_path, numbers, word
         Bag.create(path=path).open()
     assert "/pose[1]" in str(caught.value)
     assert words in str(caught.value)
+
+
+def fix(bag, number, latitude, longitude, altitude, status=0):
+    return bag.make(
+        "sensor_msgs/NavSatFix", header=bag.header(time_ns(number)), latitude=latitude, longitude=longitude,
+        altitude=altitude, status=bag.make("sensor_msgs/NavSatStatus", status=status, service=1),
+        position_covariance=np.zeros(9), position_covariance_type=0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_fixes_become_meters_east_north_and_up_without_rotations(tmp_path, kind):
+    path = tmp_path / f"a.{kind}"
+    places = [(45.0, 7.0, 200.0), (45.0001, 7.0, 200.0), (45.0, 7.0001, 203.0), (0.0, 0.0, 0.0), (np.nan, 7.0, 0.0)]
+    with BagWriter(path, kind) as bag:
+        bag.write("/image", bag.image(picture(0), "rgb8", time_ns(0)), time_ns(0))
+        for number, place in enumerate(places):
+            bag.write("/fix", fix(bag, number, *place, status=-1 if number == 3 else 0), time_ns(number) + 7)
+    assert Bag.create(path=path).open().ground_truth is None  # only if asked for: its errors are meters
+    sequence = Bag.create(path=path, ground_truth="/fix").open()
+    # WGS 84 has radii of 6367382 m (meridian) and 6388838 m (prime vertical) at 45 degrees.
+    angle = np.radians(1e-4)
+    expected = [[0, 0, 0], [0, 6367582 * angle, 0], [6389041 * np.cos(np.pi / 4) * angle, 0, 3]]
+    np.testing.assert_allclose(sequence.ground_truth.positions_world, expected, atol=1e-4)
+    assert not sequence.ground_truth.has_rotations
+    assert "3 positions of /fix" in " ".join(sequence.notes)
