@@ -73,6 +73,21 @@ def test_a_perfect_run(tmp_path: Path) -> None:
         assert found[name].value == pytest.approx(0.0, abs=1e-6), name
 
 
+def test_truth_without_rotations_judges_positions(tmp_path: Path) -> None:
+    whole = helix(COUNT)
+    poses = whole.world_from_camera.copy()
+    poses[:, :3, :3] = np.nan
+    found = measured(Told(moved(noisy(whole, 0.02))), folder(tmp_path, "a"), Trajectory(whole.timestamps_s, poses))
+    expected = measured(Told(moved(noisy(whole, 0.02))), folder(tmp_path, "b"), whole)
+    undefined = {"rpe_trans_m", "rpe_rot_deg", "ate_rmse_first_frame_m"}
+    for name in undefined:
+        assert "positions only" in str(found[name].reason)
+    for name in set(expected) - undefined:
+        assert found[name].value == pytest.approx(expected[name].value, nan_ok=True), name
+    written = files.read_tum(tmp_path / "a" / files.GROUND_TRUTH)
+    np.testing.assert_allclose(written.positions_world, whole.positions_world, atol=1e-6)
+
+
 def test_merged_maps_are_no_loops(tmp_path: Path) -> None:
     truth = helix(COUNT)
     loops = LoopEvent(20, 3, 45, merged_maps=True), LoopEvent(60, 5, 40), LoopEvent(70, 2, 50, merged_maps=True)

@@ -31,6 +31,9 @@ def test_a_sequence_without_truth_is_not_supported() -> None:
     late = Trajectory(helix(20).timestamps_s + 100.0, helix(20).world_from_camera)
     with pytest.raises(Unsupported, match=r"memory .* association_s = 0\.02 s"):
         true_poses(sequence(late), 0.02)
+    poses = np.where(np.arange(4) < 3, np.nan, helix(20).world_from_camera)
+    with pytest.raises(Unsupported, match="positions only"):
+        true_poses(sequence(Trajectory(helix(20).timestamps_s, poses)), 0.02)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 1e-6, 0.01, 45.0, 90.0, 179.99, 180.0])

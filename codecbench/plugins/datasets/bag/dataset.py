@@ -147,7 +147,7 @@ class BagSequence(FrameSequence):
         subset_notes = params.subset_notes(len(numbers))
         self.notes = (
             *self._recording.remarks,
-            describe_topic(self._recording, self._topic),
+            describe_topic(self._recording, self._topic, self._video),
             *subset_notes,
             *format_notes,
             *order_notes,
@@ -283,12 +283,12 @@ def _may_be_intensities(recording: Recording, topic: Topic) -> bool:
         return True
 
 
-def describe_topic(recording: Recording, topic: Topic) -> str:
-    """Describe a topic of images: its name, count, type and size."""
+def describe_topic(recording: Recording, topic: Topic, video: CodedVideo | None = None) -> str:
+    """Describe a topic of images: its name, count, type and size. video: that of the topic, if it is open already."""
     try:
         message = recording.message(topic, 0)
         if topic.kind == VIDEO:
-            video = CodedVideo(recording, topic)
+            video = video or CodedVideo(recording, topic)
             height, width = video.image(video.first).shape[:2]
             kind = video.coding
         elif topic.kind == COMPRESSED:

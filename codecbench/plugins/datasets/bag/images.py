@@ -162,7 +162,7 @@ def decode_compressed(message: Any, bits: int | None, where: str) -> Image:
 def check_compressed(content: NDArray[np.uint8], where: str) -> None:
     """Raise DatasetError, before decoding, if the content is no image, truncated, or too large by its header."""
     PillowImage.init()
-    formats = [name for name in _COMPRESSED_FORMATS if name in PillowImage.OPEN]  # Pillow before 11.3 has no AVIF
+    formats = tuple(name for name in _COMPRESSED_FORMATS if name in PillowImage.OPEN)  # Pillow before 11.3 has no AVIF
     try:
         with (
             warnings.catch_warnings(action="ignore"),
