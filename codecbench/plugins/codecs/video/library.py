@@ -10,7 +10,10 @@ from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from codecbench.core.contracts.errors import Unsupported
+from codecbench.core.contracts.image import Image
 from codecbench.plugins.codecs.video.encoders import Encoder, VideoParams
 from codecbench.plugins.codecs.video.header import Header
 
@@ -22,6 +25,7 @@ _FULL_RANGE: Final = 2
 _BT601: Final = 5
 _MARGIN: Final = 128  # upper bound of what padding and the blocks of a format add
 _RATE_DENOMINATOR: Final = 1001
+_WITH_THREADS: Final = 17  # the version of PyAV from which frames are converted by several threads
 _SOFTWARE: Final = "encoder: libx264, which needs no hardware"
 _REINSTALLING: Final = "run: pip install --upgrade --force-reinstall 'av>=16'; its wheels include the software encoders"
 _STRICT: Final = {"err_detect": "crccheck+bitstream+buffer+explode", "ec": "0"}
@@ -125,6 +129,17 @@ def video_frame(width: int, height: int, pixel_format: str) -> VideoFrame:
     frame: VideoFrame = load_av().VideoFrame(width, height, pixel_format)
     frame.color_range, frame.colorspace = _FULL_RANGE, _BT601
     return frame
+
+
+def samples_of_frame(frame: VideoFrame, pixel_format: str) -> Image:
+    """Convert a decoded frame to `rgb24` (H, W, 3) or `gray` (H, W), by its own matrix and range.
+
+    As its `to_ndarray(format=...)`, but in the calling thread: a forked process hangs when it frees the threads.
+    """
+    av = load_av()
+    alone = {"threads": 1} if int(av.__version__.partition(".")[0]) >= _WITH_THREADS else {}
+    converted = av.video.reformatter.VideoReformatter().reformat(frame, format=pixel_format, **alone)
+    return np.ascontiguousarray(converted.to_ndarray())
 
 
 def decoding_errors() -> tuple[type[Exception], ...]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from codecbench.core.contracts.errors import DatasetError, Unsupported
 from codecbench.core.contracts.image import MAX_PIXELS, Image
-from codecbench.plugins.codecs.video.library import decoding_errors, load_av, packet_for
+from codecbench.plugins.codecs.video.library import decoding_errors, load_av, packet_for, samples_of_frame
 from codecbench.plugins.datasets.bag.recording import Integers, Recording, Topic
 from codecbench.plugins.datasets.selection import already_coded
 
@@ -57,7 +57,7 @@ class CodedVideo:
         self._decoder = next((name for part, name in _DECODERS.items() if part in self.coding.lower()), "")
         where = f"{recording.path}: {topic.name}"
         try:
-            self._reformatter = load_av().video.reformatter.VideoReformatter()
+            load_av()
         except Unsupported as error:
             raise DatasetError(f"{where}: {topic.type} cannot be decoded: {error}") from error
         if not self._decoder:
@@ -92,8 +92,7 @@ class CodedVideo:
         Raises DatasetError if the message is damaged, or one that it depends on.
         """
         frame = self._frame(number)
-        pixel_format = "gray" if frame.format.name.startswith("gray") else "rgb24"
-        return np.ascontiguousarray(self._reformatter.reformat(frame, format=pixel_format).to_ndarray())
+        return samples_of_frame(frame, "gray" if frame.format.name.startswith("gray") else "rgb24")
 
     def shows_color(self) -> bool:
         """Whether some of the key frames show any color; a gray camera's video may be stored with empty chroma."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import multiprocessing
+import os
 import random
 
 import numpy as np
@@ -121,6 +124,23 @@ def test_after_a_damaged_packet_frames_are_refused_up_to_the_next_key_frame(tmp_
             sequence.read(number)
         assert caught.value.without == {"skip": [number]}
     assert [frame_number(sequence.read(number).image) for number in (11, 20, 29)] == [11, 20, 29]
+
+
+def test_a_forked_process_decodes_and_ends(tmp_path):
+    sequence = opened(tmp_path, encode(count=12))
+    sequence.read(3)
+    child = multiprocessing.get_context("fork").Process(target=read_and_forget, args=([sequence], 7))
+    child.start()
+    child.join(60)
+    assert child.exitcode == 7
+    assert frame_number(sequence.read(4).image) == 4
+
+
+def read_and_forget(sequences, number):
+    """End with the number that the frame of this number shows, without the sequence and its decoder."""
+    found = frame_number(sequences.pop().read(number).image)
+    gc.collect()
+    os._exit(found)
 
 
 def test_lost_packets_are_named(tmp_path):
