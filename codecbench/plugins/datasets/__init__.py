@@ -26,4 +26,11 @@ def codecbench_datasets() -> list[PluginSpec]:
             requires=("rosbags",),
             extra="codecbench[bag]",
         ),
+        PluginSpec(
+            "lerobot",
+            f"{_HERE}.lerobot:Lerobot",
+            "a camera in an episode of a LeRobot dataset, format 2.1 or 3.0",
+            requires=("av",),
+            extra="codecbench[video]",
+        ),
     ]

@@ -34,6 +34,11 @@ def read_image_file(file: Path) -> Image:
         content = file.read_bytes()
     except OSError as error:
         raise DatasetError(f"{file}: cannot be read: {error.strerror}") from error
+    return decode_image_file(content, str(file))
+
+
+def decode_image_file(content: bytes, file: str) -> Image:
+    """Decode the content of an image file as `read_image_file` does. Raises DatasetError, naming `file`."""
     if content.startswith(_JPEG_START) and _JPEG_END not in content[-4096:]:
         raise DatasetError(f"{file}: the JPEG file is cut short; fetch or copy it again")
     try:
