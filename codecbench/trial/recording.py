@@ -100,7 +100,7 @@ def recognize(registry: Registry, path: Path, given: dict[str, Any]) -> Recordin
         hint = f"; not tried: {'; '.join(unusable)}" if unusable else ""
         raise DatasetError(
             f"{path}: {describe_contents(path)}, which no dataset recognizes ({names}); give a folder of images "
-            f"({', '.join(EXTENSIONS)}), a video, a TUM, KITTI or EuRoC folder, or a ROS bag{hint}"
+            f"({', '.join(EXTENSIONS)}), a video, a TUM, KITTI or EuRoC folder, a ROS bag, or a LeRobot dataset{hint}"
         )
     plugin, (_, params) = min(matches, key=lambda pair: pair[1][0])
     params = {**params, **given}

@@ -283,7 +283,7 @@ def edit_info(folder, **facts):
         (V21, lambda folder: edit_info(folder, video_path="{nothing}"), r"where episode 1 is: KeyError\('nothing'\)"),
         (V21, lambda folder: edit_info(folder, features={}), r"not the name of .* there is none"),
         (V21, lambda folder: (folder / "meta/episodes.jsonl").unlink(), "episodes.jsonl: cannot be read: "),
-        (V21, lambda folder: (folder / "meta/episodes.jsonl").write_text("{]"), "episodes.jsonl: cannot be read: .*JSON parse error"),
+        (V21, lambda folder: (folder / "meta/episodes.jsonl").write_text("{]"), r"episodes.jsonl: cannot be .* JSON"),
         (V30, lambda folder: shutil.rmtree(folder / "meta/episodes"), "episodes: cannot be read: "),
         (V21, lambda folder: (folder / OLD_ROWS).unlink(), "episode_000001.parquet: cannot be read: "),
         (V21, lambda folder: (folder / OLD_ROWS).write_bytes(b"PAR1"), "episode_000001.parquet: cannot be read: "),
