@@ -66,8 +66,6 @@ class Lerobot(Dataset[LerobotParams]):
 
 
 class _Feature(BaseModel):
-    """A column of a dataset, as `meta/info.json` describes it."""
-
     dtype: str
     shape: list[int] = []
     names: list[Any] | dict[str, Any] | None = None
@@ -170,7 +168,6 @@ class _Video:
     """Decodes an episode with PyAV. Opening seeks to it in a file of several, and reads packets without decoding."""
 
     def __init__(self, episode: _Episode, times_s: Any, fps: float) -> None:
-        """Index the frames of rows at these times (N,), seconds from the start of the episode. Raises DatasetError."""
         self._file, self._process, self._rank = episode.video, -1, -1
         with _video_errors(self._file), _open_video(self._file) as container:
             self._demux(container, episode, fps)
@@ -204,8 +201,7 @@ class _Video:
             size_bytes += packet.size
             digest.update(b"%d " % packet.pts + bytes(packet))
         if not 0 < context.width * context.height <= MAX_PIXELS or not any(is_key.values()):
-            size = f"{context.width}x{context.height}, {len(is_key)} frames"
-            raise DatasetError(f"{self._file}: has no frames of the episode that can be decoded ({size}); {_FETCH}")
+            raise ValueError(f"{context.width}x{context.height}, {len(is_key)} frames of the episode")
         self._pts = sorted(is_key)
         self._keys = [rank for rank, pts in enumerate(self._pts) if is_key[pts]]
         self.digest, rate_kbps = digest.hexdigest(), 8e-3 * size_bytes * fps / len(is_key)
