@@ -24,12 +24,10 @@ from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
 from codecbench.plugins.codecs.video.library import decoding_errors, load_av
 from codecbench.plugins.datasets.files import decode_image_file, fingerprint_facts, jpeg_notes, json_digest
-from codecbench.plugins.datasets.selection import GivenCameraParams, Selection, convert_color, workaround
+from codecbench.plugins.datasets.selection import GivenCameraParams, Selection, already_coded, convert_color, workaround
 
 _TOLERANCE: Final = 0.25
 """Distance of a row from its frame at most, in frame intervals."""
-_MOST_REORDERED: Final = 17
-"""Frames by which decoding precedes presentation at most: 16 in H.264 and HEVC, and one for rounding."""
 _FETCH: Final = "fetch or copy the dataset again"
 
 
@@ -190,8 +188,8 @@ class _Video:
         stream, digest, is_key = container.streams.video[0], hashlib.sha256(), {}
         context, self._tick_s, size_bytes = stream.codec_context, float(stream.time_base or 0), 0
         digest.update(context.extradata or b"")
-        if (seek_s := episode.start_s - _MOST_REORDERED / fps) > 0.0:
-            container.seek(round(seek_s / self._tick_s), stream=stream)
+        if episode.start_s > 0.0:
+            container.seek(max(round((episode.start_s - 1.0 / fps) / self._tick_s), 0), stream=stream)
         for packet in container.demux(stream):
             if packet.pts is None or packet.dts is None or packet.is_corrupt or packet.is_discard:
                 continue
@@ -206,10 +204,7 @@ class _Video:
         self._keys = [rank for rank, pts in enumerate(self._pts) if is_key[pts]]
         self.digest, rate_kbps = digest.hexdigest(), 8e-3 * size_bytes * fps / len(is_key)
         coding = f"{context.codec.canonical_name} video, {context.pix_fmt}, {rate_kbps:,.0f} kbit/s"
-        self.coding = (
-            f"THE FRAMES ARE ALREADY CODED: they are {coding}; `raw` includes its losses, and every codec is compared "
-            "with it, not with the camera's output",
-        )
+        self.coding = (already_coded(f"they are {coding}"),)
 
     def read(self, row: int) -> Image:
         """Decode the RGB image (H, W, 3) of a row. Raises DatasetError."""
