@@ -22,7 +22,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.core.contracts.image import MAX_PIXELS, Image, layout_of
 from codecbench.core.contracts.params import PathParam
 from codecbench.core.contracts.sequence import Dataset, Frame, FrameSequence, Origin
-from codecbench.plugins.codecs.video.library import decoding_errors, load_av
+from codecbench.plugins.codecs.video.library import decoding_errors, load_av, samples_of_frame
 from codecbench.plugins.datasets.files import decode_image_file, fingerprint_facts, jpeg_notes, json_digest
 from codecbench.plugins.datasets.selection import GivenCameraParams, Selection, already_coded, convert_color, workaround
 
@@ -222,9 +222,7 @@ class _Video:
             for frame in self._decoded:
                 if frame.pts == self._pts[rank]:
                     self._rank = rank
-                    # as frame.to_ndarray(format="rgb24"), whose threads live as long as the frame, so not in a fork
-                    rgb = load_av().video.reformatter.VideoReformatter().reformat(frame, format="rgb24")
-                    return np.asarray(rgb.to_ndarray(), dtype=np.uint8)
+                    return samples_of_frame(frame, "rgb24")
                 if (frame.pts or 0) > self._pts[rank]:
                     break
         raise DatasetError(f"{self._file}: frame {row} of the episode cannot be decoded; {_FETCH}")
