@@ -43,7 +43,7 @@ COMMANDS = {
     "open": ("codecbench.cli.bundle:open_bundle", "Unpack a bundle and report on it, without running code from it."),
     "verify-run": ("codecbench.cli.bundle:verify_run", "Recompute some cells of a bundle and compare their values."),
     "verify": ("codecbench.cli.verify:verify", "Check that codecs meet their contract; write and check corpora."),
-    "export": ("codecbench.cli.export:export", "Write a codec's bitstreams as video or image files."),
+    "export": ("codecbench.cli.export:export", "Write bitstreams or results for other programs."),
     "table": ("codecbench.cli.report:table", "Print or write the tables of a run."),
 }
 

@@ -14,6 +14,7 @@ from codecbench.core.engine.plugins import registry
 from codecbench.core.engine.storage import atomic, bitstream_file
 from codecbench.core.engine.storage import store as run_store
 from codecbench.core.engine.text import counted
+from codecbench.exporting import cells, tum_files
 from codecbench.plugins.codecs.video import codecs, muxing
 
 if TYPE_CHECKING:
@@ -36,16 +37,35 @@ _SUFFIXES: Final = {
 @click.option("--sequence", help="Sequence to write, if the run has several.")
 @click.option("--frame-rate", "frame_rate_hz", type=click.FloatRange(min=0, min_open=True), metavar="HZ",
               help="Frame rate of the video; default: that of the sequence.")  # fmt: skip
+@click.option("--evaluator", metavar="NAME", help="Evaluator of the trajectory, as in tables; default: the first.")
+@click.option("--repeat", type=click.IntRange(min=0), default=0, show_default=True, help="Repeat of the trajectory.")
 @click.option("--out", required=True, type=click.Path(path_type=Path),
-              help="A video file (.mp4, .mkv, .h264 ...) for a video codec, a new folder for others.")  # fmt: skip
-def export(run: Path, codec: str, setting: str, sequence: str | None, frame_rate_hz: float | None, out: Path) -> None:
-    """Write a codec's bitstreams in RUN to files that other programs read.
+              help="A video (.mp4, .mkv, .h264 ...) for a video codec, a new folder for others, or .tum.")  # fmt: skip
+def export(
+    run: Path,
+    codec: str,
+    setting: str,
+    sequence: str | None,
+    frame_rate_hz: float | None,
+    evaluator: str | None,
+    repeat: int,
+    out: Path,
+) -> None:
+    """Write a codec's bitstreams or results in RUN to files that other programs read.
 
     Packets of a video codec go unchanged into one file. Bitstreams of an image codec go into a new folder, one file
     each: JPEG, JPEG 2000 and PNG with their suffix, others as .bin.
+
+    A .tum file is the trajectory that SLAM estimated, for evo; the ground truth is written beside it.
     """
     store = run_store.Store(run)
-    job = _job(store.read_plan().jobs, codec, setting, sequence)
+    plan = store.read_plan()
+    job = _job(plan.jobs, codec, setting, sequence)
+    if out.suffix == ".tum":
+        result = cells.slam_result(cells.results_of(store, plan, job), evaluator, repeat)
+        for line in tum_files.write_tum(result, out):
+            click.echo(line)
+        return
     bitstreams = bitstream_file.BitstreamFile(store.coded_path(job.id), job.id)
     if bitstreams.is_stream:
         _write_video(bitstreams, job, frame_rate_hz or job.sequence.frame_rate_hz, out)

@@ -57,6 +57,8 @@ LATE: Final = frozenset((
     "codecbench.core.report.tables",
     "codecbench.core.report.views",
     "codecbench.core.rounds.running",
+    "codecbench.exporting.cells",
+    "codecbench.exporting.tum_files",
     "codecbench.paper.page",
     "codecbench.plugins.codecs.video.codecs",
     "codecbench.plugins.codecs.video.muxing",

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ LOOPS: Final = "loops.csv"
 LIVE: Final = "live.csv"
 
 
-def write_tum(path: Path, trajectory: Trajectory) -> None:
+def write_tum(path: Path | BinaryIO, trajectory: Trajectory) -> None:
     """Poses as lines `timestamp tx ty tz qx qy qz qw` (TUM's format): seconds, world_from_camera.
 
     Unknown rotations become 0 0 0 1, because the format has no poses without rotation.
