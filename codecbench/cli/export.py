@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -10,14 +11,16 @@ import click
 
 from codecbench.cli.parameters import codec_names
 from codecbench.core.conformance import settings
+from codecbench.core.contracts.errors import SlamError
 from codecbench.core.engine.plugins import registry
 from codecbench.core.engine.storage import atomic, bitstream_file
 from codecbench.core.engine.storage import store as run_store
 from codecbench.core.engine.text import counted
-from codecbench.exporting import cells, tum_files
+from codecbench.exporting import cells, coded_run, tum_files
 from codecbench.plugins.codecs.video import codecs, muxing
 
 if TYPE_CHECKING:
+    from codecbench.core.analysis.table import CellResult
     from codecbench.core.engine.planning.model import CodingJob
     from codecbench.core.engine.storage.bitstream_file import BitstreamFile
 
@@ -29,6 +32,9 @@ _SUFFIXES: Final = {
 }
 """Suffixes of image files by their first bytes; any other bitstream gets `.bin`."""
 
+_VIEWERS: Final = {".mcap": ("codecbench.exporting.mcap_file", "bag")}
+"""By the ending of a file, the module that writes it and the extra that the module needs."""
+
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
@@ -39,8 +45,11 @@ _SUFFIXES: Final = {
               help="Frame rate of the video; default: that of the sequence.")  # fmt: skip
 @click.option("--evaluator", metavar="NAME", help="Evaluator of the trajectory, as in tables; default: the first.")
 @click.option("--repeat", type=click.IntRange(min=0), default=0, show_default=True, help="Repeat of the trajectory.")
+@click.option("--coded", is_flag=True, help="Write bitstreams instead of decoded frames into an .mcap file.")
+@click.option("--sequences-from", metavar="FOLDER|same",
+              help="Read frames of a run from elsewhere in FOLDER; `same`: in the paths of its plan.")  # fmt: skip
 @click.option("--out", required=True, type=click.Path(path_type=Path),
-              help="A video (.mp4, .mkv, .h264 ...) for a video codec, a new folder for others, or .tum.")  # fmt: skip
+              help="A video (.mp4, .mkv ...) for a video codec, a new folder for others, .tum or .mcap.")  # fmt: skip
 def export(
     run: Path,
     codec: str,
@@ -49,6 +58,8 @@ def export(
     frame_rate_hz: float | None,
     evaluator: str | None,
     repeat: int,
+    coded: bool,
+    sequences_from: str | None,
     out: Path,
 ) -> None:
     """Write a codec's bitstreams or results in RUN to files that other programs read.
@@ -57,6 +68,8 @@ def export(
     each: JPEG, JPEG 2000 and PNG with their suffix, others as .bin.
 
     A .tum file is the trajectory that SLAM estimated, for evo; the ground truth is written beside it.
+
+    An .mcap file, for Foxglove, has the decoded frames, their values and sizes, the trajectory and the ground truth.
     """
     store = run_store.Store(run)
     plan = store.read_plan()
@@ -65,6 +78,9 @@ def export(
         result = cells.slam_result(cells.results_of(store, plan, job), evaluator, repeat)
         for line in tum_files.write_tum(result, out):
             click.echo(line)
+        return
+    if out.suffix in _VIEWERS:
+        _write_for_viewer(store, job, cells.results_of(store, plan, job), evaluator, repeat, sequences_from, coded, out)
         return
     bitstreams = bitstream_file.BitstreamFile(store.coded_path(job.id), job.id)
     if bitstreams.is_stream:
@@ -87,6 +103,33 @@ def _job(jobs: Sequence[CodingJob], codec: str, setting: str, sequence: str | No
     if matches:
         raise click.UsageError(f"several match; select one with --setting and --sequence: {names}")
     raise click.UsageError(f"the run has no {codec} {setting} on {sequence or 'any sequence'}; it has: {names}")
+
+
+def _write_for_viewer(
+    store: run_store.Store,
+    job: CodingJob,
+    results: tuple[CellResult, ...],
+    evaluator: str | None,
+    repeat: int,
+    sequences_from: str | None,
+    coded: bool,
+    out: Path,
+) -> None:
+    name, extra = _VIEWERS[out.suffix]
+    try:
+        module = importlib.import_module(name)
+    except ImportError as error:
+        message = f"--out {out}: {error.name} is not installed; run: pip install 'codecbench[{extra}]'"
+        raise click.UsageError(message) from error
+    slam = None
+    try:
+        slam = cells.slam_result(results, evaluator, repeat)
+    except SlamError as error:
+        if evaluator is not None:
+            raise
+        click.echo(f"no estimated path: {error}")
+    with coded_run.open_coded_run(store, job, results, slam, sequences_from) as run:
+        click.echo(module.write(run, out, coded))
 
 
 def _write_pictures(bitstreams: BitstreamFile, job: CodingJob, out: Path) -> None:

@@ -58,6 +58,7 @@ LATE: Final = frozenset((
     "codecbench.core.report.views",
     "codecbench.core.rounds.running",
     "codecbench.exporting.cells",
+    "codecbench.exporting.coded_run",
     "codecbench.exporting.tum_files",
     "codecbench.paper.page",
     "codecbench.plugins.codecs.video.codecs",

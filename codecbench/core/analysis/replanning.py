@@ -17,6 +17,7 @@ from codecbench.core.engine.planning.model import Cell, Plan, PluginSetting, Run
 from codecbench.core.engine.planning.plan import make_plan
 from codecbench.core.engine.planning.search import PlanScope
 from codecbench.core.engine.plugins.registry import Registry
+from codecbench.core.engine.storage.plan_file import PlanFile
 
 _Part = TypeVar("_Part")
 
@@ -170,6 +171,21 @@ def _distinct(parts: Iterable[_Part]) -> list[_Part]:
 
 SAME_PLACE: Final = "same"
 """Value of `sequences_from` that opens sequences where the plan names them."""
+
+
+def openable_params(folder: Path, entry: SequenceEntry, sequences_from: str | None) -> dict[str, Any]:
+    """Return the parameters to open a sequence of the run in `folder` with.
+
+    sequences_from: a folder to search for it, or `same` for the plan's paths, even if the run was made elsewhere; None
+    opens only what this user's own plan names. Raises DatasetError if it may not be opened.
+    """
+    if sequences_from not in (None, SAME_PLACE):
+        return {name: relocate(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
+    elsewhere = PlanFile(folder).origin_elsewhere() if sequences_from is None else None
+    if elsewhere is not None:
+        message = f"the run was made in {elsewhere}, so the sequences of its plan are not opened"
+        raise DatasetError(f"{message}; give --sequences-from FOLDER, or --sequences-from same")
+    return entry.dataset.params
 
 
 def relocate(value: Any, folder: Path) -> Any:

@@ -7,15 +7,14 @@ import logging
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
 
-from codecbench.core.analysis.replanning import SAME_PLACE, relocate
+from codecbench.core.analysis.replanning import openable_params
 from codecbench.core.analysis.run_result import RunResult
-from codecbench.core.contracts.errors import CodecbenchError, DatasetError
+from codecbench.core.contracts.errors import CodecbenchError
 from codecbench.core.contracts.evaluator import CodedFrame
 from codecbench.core.contracts.image import Image, gray_from_image
 from codecbench.core.contracts.view import KeypointOverlay
@@ -29,7 +28,6 @@ from codecbench.core.engine.running.coding.position import WorkPosition
 from codecbench.core.engine.running.frame_cache import MOST_BYTES
 from codecbench.core.engine.running.workbench import Workbench
 from codecbench.core.engine.storage.bitstream_file import BitstreamFile
-from codecbench.core.engine.storage.plan_file import PlanFile
 from codecbench.core.engine.storage.store import Store
 from codecbench.core.engine.text import clean_line
 from codecbench.core.report.tables import three_digits
@@ -217,16 +215,10 @@ def _fit(views: list[_Views], budget_bytes: int, first: _Names) -> list[_Views]:
 def _dataset_params(run: RunResult, entry: SequenceEntry, sequences_from: str | None) -> dict[str, Any] | None:
     """The parameters to open a sequence with; None, with a line in the log, if it may not be opened."""
     try:
-        if sequences_from not in (None, SAME_PLACE):
-            return {name: relocate(value, Path(sequences_from)) for name, value in entry.dataset.params.items()}
-        elsewhere = PlanFile(run.folder).origin_elsewhere() if sequences_from is None else None
-        if elsewhere is not None:
-            message = f"the run was made in {elsewhere}, so the sequences of its plan are not opened"
-            raise DatasetError(f"{message}; give --sequences-from FOLDER, or --sequences-from same")
+        return openable_params(run.folder, entry, sequences_from)
     except (CodecbenchError, OSError) as error:
         log.warning("no images of %s: %s", entry.name, clean_line(str(error)))
         return None
-    return entry.dataset.params
 
 
 def _views(

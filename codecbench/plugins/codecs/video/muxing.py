@@ -35,7 +35,7 @@ def file_from_packets(codec: VideoCodec[Any], packets: Sequence[Packet], frame_r
     if suffix not in _CONTAINERS:
         raise ParamsError(f"{name}: {suffix or 'no ending'} is not one of {', '.join(_CONTAINERS)}")
     header, _ = Header.parse(packets[0].data, codec.magic)
-    payloads = [_payload(packet, codec.magic) for packet in packets]
+    payloads = [payload(packet.data, codec.magic) for packet in packets]
     buffer = io.BytesIO()
     av = load_av()
     with av.open(buffer, "w", format=_CONTAINERS[suffix]) as container:
@@ -47,8 +47,9 @@ def file_from_packets(codec: VideoCodec[Any], packets: Sequence[Packet], frame_r
     return buffer.getvalue()
 
 
-def _payload(packet: Packet, magic: bytes) -> bytes:
-    return Header.parse(packet.data, magic)[1] if packet.data.startswith(magic) else packet.data
+def payload(data: bytes, magic: bytes) -> bytes:
+    """Return the encoder's bytes of a packet, without our header if it has one. magic: of the codec; empty for none."""
+    return Header.parse(data, magic)[1] if magic and data.startswith(magic) else data
 
 
 def _add_stream(container: Any, codec: VideoCodec[Any], header: Header, first: bytes, frame_rate_hz: float) -> Any:
