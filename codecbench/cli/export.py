@@ -32,7 +32,10 @@ _SUFFIXES: Final = {
 }
 """Suffixes of image files by their first bytes; any other bitstream gets `.bin`."""
 
-_VIEWERS: Final = {".mcap": ("codecbench.exporting.mcap_file", "bag")}
+_VIEWERS: Final = {
+    ".mcap": ("codecbench.exporting.mcap_file", "bag"),
+    ".rrd": ("codecbench.exporting.rrd_file", "rerun"),
+}
 """By the ending of a file, the module that writes it and the extra that the module needs."""
 
 
@@ -49,7 +52,7 @@ _VIEWERS: Final = {".mcap": ("codecbench.exporting.mcap_file", "bag")}
 @click.option("--sequences-from", metavar="FOLDER|same",
               help="Read frames of a run from elsewhere in FOLDER; `same`: in the paths of its plan.")  # fmt: skip
 @click.option("--out", required=True, type=click.Path(path_type=Path),
-              help="A video (.mp4, .mkv ...) for a video codec, a new folder for others, .tum or .mcap.")  # fmt: skip
+              help="A video (.mp4 ...) for a video codec, a new folder for others, .tum, .mcap, .rrd.")  # fmt: skip
 def export(
     run: Path,
     codec: str,
@@ -70,6 +73,7 @@ def export(
     A .tum file is the trajectory that SLAM estimated, for evo; the ground truth is written beside it.
 
     An .mcap file, for Foxglove, has the decoded frames, their values and sizes, the trajectory and the ground truth.
+    An .rrd file, for Rerun, also has the raw frames and the keypoints of both.
     """
     store = run_store.Store(run)
     plan = store.read_plan()

@@ -1,1 +1,1 @@
-"""Writes results of a run as files of other programs: evo, Foxglove."""
+"""Writes results of a run as files of other programs: evo, Foxglove, Rerun."""

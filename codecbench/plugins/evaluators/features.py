@@ -123,11 +123,15 @@ class Features(SequenceEvaluator[FeaturesParams]):
 
     def marks(self, coded: CodedFrame) -> KeypointOverlay:
         """Keypoints that the SLAM's detector finds in the original, and which of them are found again."""
-        current = self._keypoints(coded, "", SlamDetector(self.params.keypoints))
+        current = self.keypoints(coded)
         repeated = current.partners >= 0
         share = 100.0 * np.count_nonzero(repeated) / max(1, len(repeated))
         note = f"{np.count_nonzero(repeated)} of {len(repeated)} keypoints repeated ({share:.0f} %)"
         return KeypointOverlay(current.original.places[:, :2], repeated, note)
+
+    def keypoints(self, coded: CodedFrame) -> FrameKeypoints:
+        """Keypoints that the SLAM's detector finds in the original and in the decoded frame."""
+        return self._keypoints(coded, "", SlamDetector(self.params.keypoints))
 
     def _keypoints(self, frame: CodedFrame, prefix: str, detector: Detector) -> FrameKeypoints:
         key = ("orb_keypoints", prefix, self.params.keypoints)
