@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import os
 from pathlib import Path
 from typing import Any, Final
@@ -56,8 +58,11 @@ def _flush(recording: Any, out: Path) -> None:
     """Wait until what was logged is in the file, so that it does not pile up in memory."""
     try:
         recording.flush(timeout_sec=_MOST_S)
-    except RuntimeError as error:  # which does not say why
-        raise OSError(f"{out} cannot be written: {error}; see whether its disk is full") from error
+    except RuntimeError as error:  # which says why only on stderr
+        # The library would wait for its thread forever: when the process ends, and when the recording is freed.
+        rr.unregister_shutdown()
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(recording))
+        raise OSError(errno.EIO, f"{error}; see whether the disk is full", str(out)) from error
 
 
 def _log_frame(recording: Any, frame: CodedFrame, depth: Depth | None, detector: Features | None) -> None:
