@@ -65,8 +65,8 @@ def try_(
 ) -> None:
     """Try codecs on the recording at PATH, and write a report.
 
-    PATH is a folder of images, a video, a TUM, KITTI or EuRoC folder, or a ROS bag. The run folder keeps the chosen
-    matrix, to edit and run again.
+    PATH is a folder of images, a video, a TUM, KITTI, EuRoC or LeRobot folder, or a ROS bag. The run folder keeps the
+    chosen matrix, to edit and run again.
     """
     click.echo(f"opening {path} ...", err=True)
     made = _fit_matrix(path, codecs, aim, minutes, fov, set_)

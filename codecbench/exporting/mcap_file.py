@@ -74,6 +74,7 @@ def _stamp(time_ns: int) -> Any:
 
 def _decoded_frames(run: CodedRun, writer: Any, topic: str) -> _Messages:
     channel, encoding = _channel(writer, topic, RawImage), _ENCODINGS[run.coded.sequence.layout]
+    encoding = encoding if run.coded.sequence.depth is None else "16UC1"
     for index, time_ns in enumerate(run.times_ns):
         image = run.coded.frame(index).decoded
         height, width = image.shape[:2]

@@ -23,6 +23,7 @@ from measured_runs import cell_result
 from memory_sequence import CodedInMemory, MemorySequence
 
 from codecbench.core.contracts.errors import CodecbenchError
+from codecbench.core.contracts.sequence import Depth
 from codecbench.core.engine.planning.model import CodingJob
 from codecbench.exporting import mcap_file
 from codecbench.exporting.coded_run import CodedRun
@@ -147,15 +148,18 @@ def test_a_missing_library_is_named_with_its_extra(run: Path, tmp_path: Path, mo
 
 
 @pytest.mark.parametrize(
-    ("image", "encoding", "step"),
+    ("image", "depth", "encoding", "step"),
     [
-        (np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3), "rgb8", 18),
-        (np.arange(4 * 6, dtype=np.uint16).reshape(4, 6) * 2000, "mono16", 12),
+        (np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3), None, "rgb8", 18),
+        (np.arange(4 * 6, dtype=np.uint16).reshape(4, 6) * 2000, None, "mono16", 12),
+        (np.arange(4 * 6, dtype=np.uint16).reshape(4, 6) * 2000, Depth(0.001), "16UC1", 12),
     ],
 )
-def test_colors_and_depth_are_whole(tmp_path: Path, image: Any, encoding: str, step: int) -> None:
+def test_colors_and_depth_are_whole(tmp_path: Path, image: Any, depth: Depth | None, encoding: str, step: int) -> None:
     cell = cell_result("function", 1, "quality").cell
-    coded = CodedInMemory(MemorySequence([image, image[::-1]]))
+    sequence = MemorySequence([image, image[::-1]])
+    sequence.depth = depth
+    coded = CodedInMemory(sequence)
     job = CodingJob("0f", cell.sequence, cell.codec)
     mcap_file.write(CodedRun(job, coded, [5, 7], {}, {}), tmp_path / "x.mcap", coded=False)
     (first_ns, first), (second_ns, second) = messages(tmp_path / "x.mcap")["/camera/decoded"]

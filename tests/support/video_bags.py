@@ -58,7 +58,7 @@ def encode(format_="h264", count=30, gop=10, options=None, pixel_format="yuv420p
 
 
 def write_video(path, packets, format_, how):
-    """Write packets as `protobuf`, `json`, `foxglove_msgs` or `ffmpeg`; returns the path of the recording."""
+    """Write packets as `protobuf`, `json`, `foxglove_msgs`, `ffmpeg` or `ffmpeg db3`; returns the recording's path."""
     if how == "protobuf":
         with open(path, "wb") as stream, ProtobufWriter(stream) as writer:
             for place, (number, data) in enumerate(packets):
@@ -69,8 +69,9 @@ def write_video(path, packets, format_, how):
         with open(path, "wb") as stream:
             _write_json(McapWriter(stream), packets, format_)
     else:
-        type_ = next(name for name in DEFINITIONS if name.startswith(how))
-        with BagWriter(path, "mcap") as bag:
+        package, _, storage = how.partition(" ")
+        type_ = next(name for name in DEFINITIONS if name.startswith(package))
+        with BagWriter(path, storage or "mcap") as bag:
             bag.types.register(get_types_from_msg(DEFINITIONS[type_], type_))
             for place, (number, data) in enumerate(packets):
                 header, content = bag.header(time_ns(number)), np.frombuffer(data, np.uint8)

@@ -17,7 +17,7 @@ from codecbench.core.contracts.errors import DatasetError
 from codecbench.plugins.codecs.video.library import load_av
 from codecbench.plugins.datasets.bag.dataset import Bag
 
-MESSAGES = ("protobuf", "json", "foxglove_msgs", "ffmpeg")
+MESSAGES = ("protobuf", "json", "foxglove_msgs", "ffmpeg", "ffmpeg db3")
 REORDERED = {"preset": "fast", "crf": "18"}
 
 
@@ -49,7 +49,7 @@ def stream(request):
 @pytest.mark.parametrize("how", MESSAGES)
 def test_frames_are_those_of_the_stream(tmp_path, stream, how):
     format_, packets = stream
-    name = {"h265": "hevc"}.get(format_, format_) if how == "ffmpeg" else format_
+    name = {"h265": "hevc"}.get(format_, format_) if "ffmpeg" in how else format_
     sequence = opened(tmp_path, packets, name, how)
     expected = decoded_in_one_go(packets, {"h265": "hevc", "av1": "libdav1d"}.get(format_, format_))
     images = [sequence.read(number).image for number in range(len(sequence))]
