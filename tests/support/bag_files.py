@@ -47,12 +47,12 @@ class BagWriter:
     def __exit__(self, *_):
         self._writer.close()
 
-    def write(self, topic, message, time_ns):
+    def write(self, topic, message, time_ns, cut_bytes=None):
         type_ = message.__msgtype__
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, type_, typestore=self.types)
         serialize = self.types.serialize_ros1 if self.is_ros1 else self.types.serialize_cdr
-        self._writer.write(self._connections[topic], time_ns, serialize(message, type_))
+        self._writer.write(self._connections[topic], time_ns, serialize(message, type_)[:cut_bytes])
 
     def make(self, name, **values):
         """A message; `package/Name` is found in the msg namespace."""

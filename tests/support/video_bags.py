@@ -57,8 +57,11 @@ def encode(format_="h264", count=30, gop=10, options=None, pixel_format="yuv420p
     return packets
 
 
-def write_video(path, packets, format_, how):
-    """Write packets as `protobuf`, `json`, `foxglove_msgs`, `ffmpeg` or `ffmpeg db3`; returns the recording's path."""
+def write_video(path, packets, format_, how, cut=()):
+    """Write packets as `protobuf`, `json`, `foxglove_msgs`, `ffmpeg` or `ffmpeg db3`; returns the recording's path.
+
+    cut: places of messages of ROS that end after 40 bytes.
+    """
     if how == "protobuf":
         with open(path, "wb") as stream, ProtobufWriter(stream) as writer:
             for place, (number, data) in enumerate(packets):
@@ -80,7 +83,8 @@ def write_video(path, packets, format_, how):
                 else:
                     values = {"header": header, "width": SIZE[0], "height": SIZE[1], "pts": number, "flags": 0}
                     values |= {"encoding": f"{format_};yuv420p;bgr8;bgr8", "is_bigendian": False}
-                bag.write("/camera/video", bag.types.types[type_](**values, data=content), time_ns(place) + DELAY_NS)
+                message = bag.types.types[type_](**values, data=content)
+                bag.write("/camera/video", message, time_ns(place) + DELAY_NS, 40 if place in cut else None)
     return path
 
 

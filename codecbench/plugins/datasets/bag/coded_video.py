@@ -47,7 +47,7 @@ class CodedVideo:
     Raises DatasetError if no frame can be decoded.
 
     coding: name of the codec. sizes_bytes: of all packets. first: number of the first message whose frame can
-    decoded.
+    be decoded.
     """
 
     def __init__(self, recording: Recording, topic: Topic) -> None:
@@ -64,11 +64,13 @@ class CodedVideo:
             raise DatasetError(f"{where}: format {format_[:40]!r} is not supported; supported: h264, h265, vp9, av1")
         self.sizes_bytes: list[int] = []
         self._keys: list[int] = []
-        with suppress(DatasetError):  # the recording's index says where damage ends it
-            for number, (_, message) in enumerate(recording.messages(topic)):
-                self.sizes_bytes.append(len(message.data))
-                if is_key_frame(self._decoder, bytes(message.data)):
-                    self._keys.append(number)
+        for number in range(len(recording.index(topic)[0])):
+            content = b""
+            with suppress(DatasetError):  # decoding the message raises it again
+                content = self._packet(number)
+            self.sizes_bytes.append(len(content))
+            if is_key_frame(self._decoder, content):
+                self._keys.append(number)
         if not self._keys:
             raise DatasetError(f"{where}: none of its {len(topic)} packets of {self.coding} is a key frame")
         self._context: Any = None

@@ -113,7 +113,7 @@ class BagSequence(FrameSequence):
         self._recording = open_recording(params.path)
         self._topic = image_topic(self._recording, params.topic)
         self._video = CodedVideo(self._recording, self._topic) if self._topic.kind == VIDEO else None
-        first_number = 0 if self._video is None else self._video.first
+        first_number = None if self._video is None else self._video.first
         times_ns, numbers, order_notes = _sort_messages(self._recording, self._topic, params.time, first_number)
         self._chosen = params.indices(len(numbers), f"{params.path} {self._topic.name}")
         chosen = np.array(self._chosen)
@@ -316,8 +316,13 @@ def _find_camera_topic(recording: Recording, name: str) -> Topic:
     return topic
 
 
-def _sort_messages(recording: Recording, topic: Topic, time: str, first: int) -> tuple[Integers, Integers, list[str]]:
-    """Strictly increasing times in ns of the messages from the `first`, their numbers, and notes on both."""
+def _sort_messages(
+    recording: Recording, topic: Topic, time: str, first: int | None
+) -> tuple[Integers, Integers, list[str]]:
+    """Strictly increasing times in ns, the numbers of their messages, and notes on both.
+
+    first: number of the first message of video that can be decoded; earlier ones are left out.
+    """
     (times_ns, headers_ns, damage), notes = recording.index(topic), []
     if damage is not None:
         notes.append(f"only {len(times_ns)} of {len(topic)} frames are read, up to the damage: {damage}")
@@ -326,7 +331,9 @@ def _sort_messages(recording: Recording, topic: Topic, time: str, first: int) ->
             notes.append("times are those of the recording, because headers have none")
         else:
             times_ns = headers_ns
-    numbers = np.flatnonzero((np.arange(len(times_ns)) >= first) & (times_ns >= times_ns[first]))
+    numbers = np.arange(len(times_ns))
+    if first is not None:
+        numbers = np.flatnonzero((numbers >= first) & (times_ns >= times_ns[first]))
     if earlier := len(times_ns) - len(numbers):
         notes.append(f"frames begin at the first key frame, {topic.name}[{first}]: {earlier} before it are left out")
     times_ns = times_ns[numbers]

@@ -126,6 +126,15 @@ def test_after_a_damaged_packet_frames_are_refused_up_to_the_next_key_frame(tmp_
     assert [frame_number(sequence.read(number).image) for number in (11, 20, 29)] == [11, 20, 29]
 
 
+def test_a_message_that_is_none_costs_itself_and_what_depends_on_it(tmp_path):
+    path = write_video(tmp_path / "a", encode(), "h264", "ffmpeg", cut=(3, 12))
+    sequence = Bag.create(path=path).open()
+    assert len(sequence) == 30
+    with pytest.raises(DatasetError, match=r"message 12 is damaged .*is not a ffmpeg_image_transport"):
+        sequence.read(15)
+    assert [frame_number(sequence.read(number).image) for number in (29, 11, 2)] == [29, 11, 2]
+
+
 def test_a_forked_process_decodes_and_ends(tmp_path):
     sequence = opened(tmp_path, encode(count=12))
     sequence.read(3)
