@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import warnings
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
+from rerun.chunk import RrdReader
 
 from codecbench.core.contracts.errors import Unsupported
 from codecbench.core.contracts.evaluator import CodedFrame
@@ -25,6 +27,7 @@ from codecbench.plugins.evaluators.features import Features
 _TIMELINE: Final = "time"
 _MOST_S: Final = 20.0
 """Time limit for writing a frame; the library waits forever for a disk that is full."""
+_HINT: Final = "see whether the disk is full"
 _KEPT, _LOST, _FOUND = (70, 190, 90), (220, 60, 60), (80, 150, 255)
 _COLORS: Final = {"truth": (140, 145, 155), "estimate": (240, 140, 40)}
 
@@ -50,6 +53,7 @@ def write(run: CodedRun, out: Path, coded: bool) -> str:
             _log_frame(recording, run.coded.frame(index), run.coded.sequence.depth, detector)
             _flush(recording, out)
         recording.disconnect()
+        _check_end(f"/dev/fd/{stream.fileno()}", out)
         size = stream.seek(0, os.SEEK_END)
     return f"{out}: {run.title}, {counted(len(run.coded), 'frame')}, {size / 1e6:.1f} MB"
 
@@ -62,7 +66,16 @@ def _flush(recording: Any, out: Path) -> None:
         # The library would wait for its thread forever: when the process ends, and when the recording is freed.
         rr.unregister_shutdown()
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(recording))
-        raise OSError(errno.EIO, f"{error}; see whether the disk is full", str(out)) from error
+        raise OSError(errno.EIO, f"{error}; {_HINT}", str(out)) from error
+
+
+def _check_end(file: str, out: Path) -> None:
+    """Raise OSError if the file has no footer; that it could not be written the library says only on stderr."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            RrdReader(file).store()
+    except Exception as error:
+        raise OSError(errno.EIO, f"its end is missing; {_HINT}", str(out)) from error
 
 
 def _log_frame(recording: Any, frame: CodedFrame, depth: Depth | None, detector: Features | None) -> None:

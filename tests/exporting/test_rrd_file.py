@@ -79,10 +79,15 @@ def test_bitstreams_are_for_mcap_files(run: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "a.rrd").exists()
 
 
-def test_a_file_that_cannot_grow_ends_the_command_and_leaves_nothing(run: Path, tmp_path: Path) -> None:
-    command = ["bash", "-c", 'ulimit -f 40; exec "$@"', "bash", COMMAND, "export", run, "--codec", "raw"]
-    done = subprocess.run([*command, "--out", tmp_path / "a.rrd"], capture_output=True, text=True, timeout=100)
+@pytest.mark.parametrize("last", [False, True], ids=["frames", "footer"])
+def test_a_file_that_cannot_grow_ends_the_command_and_leaves_nothing(run: Path, tmp_path: Path, last: bool) -> None:
+    words = ["export", run, "--codec", "raw", "--out", tmp_path / "a.rrd"]
+    assert subprocess.run([COMMAND, *words], capture_output=True, timeout=100).returncode == 0
+    most_kb = (tmp_path / "a.rrd").stat().st_size // 1024 if last else 40
+    (tmp_path / "a.rrd").unlink()
+    limited = ["bash", "-c", f'ulimit -f {most_kb}; exec "$@"', "bash", COMMAND, *words]
+    done = subprocess.run(limited, capture_output=True, text=True, timeout=100)
     assert done.returncode == 3, done.stderr
-    assert f"{tmp_path / 'a.rrd'}" in done.stderr
+    assert str(tmp_path / "a.rrd") in done.stderr
     assert "see whether the disk is full" in done.stderr
     assert not list(tmp_path.iterdir())
